@@ -5,16 +5,21 @@ The card is written by the same run that measured, so that it cannot tell of ano
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import subprocess
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import torch
+
+from tagid._version import __version__
 from tagid.files import write_bytes
-from train.dataset import METHODS, load, plans
+from train.dataset import Size, load
 from train.detector import PFA, Contract
-from train.evaluate import Figures, calibrate, conditions, maxima_figures, outcomes
-from train.fit import load_network
+from train.distributions import Distribution
+from train.evaluate import Figures, calibrate, conditions, outcomes
+from train.fit import FitSettings, load_network, settings_of
 from train.network import DetectorNetwork
-from train.origin import Origin
 
 CARD = """# Reflector detector
 
@@ -31,8 +36,7 @@ it, as names are read in the scans themselves (`tagid/reading/`).
   calibrated on the validation scenes): {thresholds}.
 
 Test scenes, at the threshold for a false detection in 1 % of empty images. Recall counts every reflector that
-is there, however weak its side or far below the noise; a hit is within 12 mm. "Local maxima" is the baseline:
-peaks of the magnitude, judged by their height over the noise, at a threshold of the same false-alarm rate.
+is there, however weak its side or far below the noise; a hit is within 12 mm.
 
 {table}
 
@@ -51,7 +55,7 @@ class Measured:
 
     Attributes:
         network: trained.
-        contract: its calibration, from the validation scenes; `training` is empty.
+        contract: its calibration, from the validation scenes, with what made it.
         figures: on the test scenes, by condition.
     """
 
@@ -60,31 +64,37 @@ class Measured:
     figures: dict[str, Figures]
 
 
-def measure(work: Path, scenes: int, ats_every: int) -> Measured:
-    """Calibrate the trained network and measure it.
-
-    Args:
-        work: folder of the dataset and the checkpoint.
-        scenes, ats_every: size of the dataset, as in `train.dataset.DatasetPlan`.
+def measure(work: Path) -> Measured:
+    """Calibrate and measure the trained network of a folder with its dataset and checkpoint.
 
     Raises StorageError if the dataset or the checkpoint is missing.
     """
-    split = plans(scenes, ats_every)
-    network = load_network(work / "checkpoint.pt")
-    validation = load(work, split["validation"])
-    contract = calibrate(network, validation)
-    test = load(work, split["test"])
+    size, checkpoint = Size.of(work), work / "checkpoint.pt"
+    network, plans = load_network(checkpoint), size.plans()
+    contract = calibrate(network, load(work, plans["validation"]))
+    test = load(work, plans["test"])
     results = outcomes(network, test, contract)
     threshold = contract.threshold(PFA)
     figures = {
         name: Figures.of([o for o, yes in zip(results, keep, strict=True) if yes], threshold, contract)
         for name, keep in conditions(test).items()
     }
-    for i, method in enumerate(METHODS):
-        held, seen_now = validation.part(validation.method == i), test.part(test.method == i)
-        if len(held) and len(seen_now):
-            figures[f"{method}, local maxima"] = maxima_figures(held, seen_now, PFA)
-    return Measured(network, contract, figures)
+    return Measured(network, replace(contract, training=origin(settings_of(checkpoint), size)), figures)
+
+
+def origin(settings: FitSettings, size: Size) -> dict[str, Any]:
+    """What made a network: it is stored in the model's file; the commit is "unknown" outside a checkout."""
+    words = ["git", "rev-parse", "HEAD"]
+    done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return {
+        "commit": done.stdout.strip() or "unknown",
+        "seed": settings.seed,
+        "epochs": settings.epochs,
+        **asdict(size),
+        "distribution": Distribution().fingerprint(),
+        "torch": str(torch.__version__).split("+")[0],
+        "tagid": __version__,
+    }
 
 
 def figures_table(figures: dict[str, Figures]) -> str:
@@ -98,19 +108,14 @@ def figures_table(figures: dict[str, Figures]) -> str:
     return "\n".join(rows)
 
 
-def write_card(measured: Measured, origin: Origin, model: Path) -> Path:
+def write_card(measured: Measured, model: Path) -> Path:
     """Write the card of a model next to its file; returns its path."""
-    parameters = sum(p.numel() for p in DetectorNetwork().parameters())
+    thresholds = measured.contract.thresholds.items()
     text = CARD.format(
-        scenes=origin.scenes,
-        ats_every=origin.ats_every,
-        commit=origin.commit,
-        seed=origin.seed,
-        parameters=f"{parameters:,}",
+        **measured.contract.training,
+        parameters=f"{sum(p.numel() for p in measured.network.parameters()):,}",
         size=round(model.stat().st_size / 1e3),
-        thresholds=", ".join(
-            f"{value:.2f} for {100 * float(rate):g} %" for rate, value in measured.contract.thresholds.items()
-        ),
+        thresholds=", ".join(f"{value:.2f} for {100 * float(rate):g} %" for rate, value in thresholds),
         table=figures_table(measured.figures),
     )
     path = model.with_name("README.md")
