@@ -76,7 +76,7 @@ def scan_with(
     )
     capture = record(radar, motion, plan, path, Watch(resolve=with_angles))
     path.unlink()
-    assert capture.views <= len(log) and capture.scan_id is not None
+    assert capture.views <= len(log)
     first = capture.scan_id - capture.scan_id[0]
     return capture, np.array(log)[first]
 
@@ -109,7 +109,6 @@ def roomba(folder: Path, wire: str, number: int, turns: float) -> Errors:
                 return host.core.body.heading_at(moment)
 
         first, (capture, true) = (scan_with(url, truth, turns, 10 * number + run, folder) for run in range(2))
-    assert capture.angles_rad is not None
     bare = capture.angles_rad / float(capture.motion.resolved.scale)
     before = float(first[0].motion.resolved.scale)
     return [
@@ -141,7 +140,6 @@ def table(folder: Path, kind: str, number: int, turns: float) -> Errors:
         capture, true = scan_with(
             url, lambda moment: float(plate.state(moment)["angle_rad"]), turns, number, folder
         )
-    assert capture.angles_rad is not None
     resolved, inside = capture.motion.resolved, slice(None)
     if kind == "index pulse":
         moving = np.abs(capture.angles_rad - capture.angles_rad[0])
@@ -169,7 +167,6 @@ def pulses(board: BoardProcess, plate: TurningTable) -> None:
 
 
 def first_angles(run: Run) -> Iterator[Table]:
-    """Seconds from the command to the first angle."""
     starts, rows = run.number(10, 2), []
     for wire in ("cable", "bridge"):
         with ExitStack() as stack:
@@ -183,7 +180,7 @@ def first_angles(run: Run) -> Iterator[Table]:
                 motion = open_motion(url)
                 motion.start()
                 motion.stop()
-                seconds.append(motion.first_angle_s)  # type: ignore[attr-defined]
+                seconds.append(motion.first_angle_s)
         rows.append((f"by {wire}", starts, f"{np.median(seconds):.2f}", f"{max(seconds):.2f}"))
     yield Table("robot | starts | seconds from the command to the first angle, median | longest", rows)
 

@@ -75,7 +75,6 @@ class Recording(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Heading of its column."""
         words = [f"{self.views} views", f"{self.snr_db:.0f} dB", f"{self.offset_m * 1e3:.0f} mm off"]
         words += ["horizontal"] if self.polarisation == "H" else []
         words += ["measured pulse, wobble 1 %, axis wrong by up to 10 mm"] if self.hard else []
@@ -184,7 +183,6 @@ def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.n
 
 
 def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
-    """The capture of a scene, the same for the same seed."""
     made = full_wave()
     name, base = scene.name, scene.name.split("_")[0]
     if scene.angles_deg is not None:

@@ -153,7 +153,6 @@ def read_on_rig(seed: int) -> dict[str, Any]:
         prepared, layouts = PreparedCapture(capture), list(builtin_layouts().values())
         answer, _, seconds = timed(partial(identify, prepared, layouts))
         reading = answer.reading
-        assert reading is not None
         name = reading.layout if reading.status == "identified" else None
         bound = math.nan if reading.bound is None else reading.bound.p_value
         results[state] = [name, reading.lead, seconds, bound]
@@ -161,7 +160,6 @@ def read_on_rig(seed: int) -> dict[str, Any]:
 
 
 def hard(run: Run) -> Iterator[Table]:
-    """Names of tags in hard scenes on emulated rigs, with what a tape gives and with the rig profile."""
     results = run.each(read_on_rig, list(run.drawn(48, 2, 1100)))
     rows = []
     for number, some in sorted(grouped(results, lambda seed: seed % len(HARD)).items()):
@@ -187,7 +185,6 @@ def hard(run: Run) -> Iterator[Table]:
 
 
 def rigs(run: Run) -> Iterator[Table]:
-    """Errors of the values beside their standard errors, and which planted faults are named."""
     count, faulty = run.number(60, 2), 1 if run.quick else 20
     run.seeds = f"1000 to {1000 + count - 1}; with a planted fault 1000 to {1000 + faulty - 1}"
     jobs = [(1000 + i, fault) for fault in FAULTS for i in range(faulty)]
@@ -250,7 +247,6 @@ return row ? [row.className, row.innerText, !button.disabled] : ['', '', false];
 def _pictures() -> Any:
     """The script of the pictures of docs/station.md: its browser and sizes serve here."""
     spec = importlib.util.spec_from_file_location("pictures", ROOT / "docs" / "make_station_pictures.py")
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -285,7 +281,6 @@ def _sheet(shots: list[Path]) -> None:
 
 
 def walk(run: Run) -> Iterator[Table]:
-    """What a person does and sees while a rig is commissioned on the page."""
     rig, script, port = parse_rig(RIG), _pictures(), _free_port()
     run.seeds = RIG
     rows, shots, began = [], [], 0.0

@@ -206,7 +206,6 @@ def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[
 
 
 def growth(run: Run) -> Iterator[Table]:
-    """Cost over views, pixels and bins, with the parts of a step."""
     repeats = _repeats(run)
     cases = [("views", (v, 96, 1.5)) for v in VIEWS]
     cases += [("pixels", (36, p, 1.5)) for p in PIXELS]
@@ -367,7 +366,6 @@ def pulse_estimates(run: Run) -> Iterator[Table]:
 
 
 def process(run: Run) -> Iterator[Table]:
-    """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
     repeats, file = max(2, _repeats(run) // 3), run.folder / "scene.tagid.h5"
     rng = np.random.default_rng(77)
     write_capture(file, point_problem(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng).capture)

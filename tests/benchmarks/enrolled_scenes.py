@@ -118,7 +118,6 @@ def _signature(prefix: str, name: str, shown: list[Capture], kind: SignatureKind
 
 
 def scenes(number: int) -> list[Scene]:
-    """Every scene of solved objects with a number."""
     results = []
     for place in product(OFFSETS_MM, SNRS_DB, (number,)):
         results += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
@@ -152,12 +151,10 @@ class Carrier(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Under which the body is enrolled."""
         return f"{self.layouts}-{self.world}"
 
     @property
     def family(self) -> tuple[Layout, ...]:
-        """Every layout of the family."""
         return SETS[self.layouts]
 
 
@@ -197,14 +194,12 @@ class DesignedScene(NamedTuple):
 
     @property
     def layout(self) -> Layout | None:
-        """What the body carries."""
         if self.what >= 0:
             return CARRIERS[self.carrier].family[self.what]
         return None if self.what == -1 else _foreign(self)
 
     @property
     def name(self) -> str:
-        """The right name, "" where none is."""
         return CARRIERS[self.carrier].family[self.what].name if self.what >= 0 else ""
 
 
@@ -220,7 +215,6 @@ def designed_scenes() -> list[DesignedScene]:
 
 
 def _foreign(scene: DesignedScene) -> Layout:
-    """A tag of no enrolled arrangement."""
     carrier = CARRIERS[scene.carrier]
     rng = np.random.default_rng([7, scene.carrier, -scene.what, scene.size_mm, scene.snr_db, scene.number])
     radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)

@@ -33,7 +33,6 @@ class Radar(NamedTuple):
 
     @property
     def wavelength_m(self) -> float:
-        """Wavelength of the centre frequency, m."""
         return SPEED_OF_LIGHT / self.center_frequency_hz
 
 

@@ -20,7 +20,6 @@ OWN = ROOT / "tests" / "data" / "responses"
 
 
 def known(name: str) -> bool:
-    """Whether that response was solved."""
     return any((folder / f"{name}.npz").is_file() for folder in (OWN, FULLWAVE / "responses"))
 
 
@@ -31,7 +30,6 @@ def full_wave() -> ModuleType:
     if not path.is_file():
         raise SystemExit(f"{path} is missing: set TAGID_SHARED to the folder that holds fullwave/")
     spec = importlib.util.spec_from_file_location("fullwave_scenes", path)
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     for own in OWN.glob("*.npz"):
@@ -77,7 +75,6 @@ def recorded(name: str, rng: np.random.Generator, place: complex, **how: Any) ->
 
 
 def captured(scan: dict[str, Any]) -> Capture:
-    """A scan of the scene maker as a capture."""
     return Capture(
         scan["samples"],
         float(scan["range_start_m"]),

@@ -93,7 +93,6 @@ def _worse(some: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which scenes."""
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="others than those of the page")
     parser.add_argument("--few-seeds", type=int, default=0, help="seeds of 12 and 36 views, if more")
 
@@ -173,7 +172,6 @@ def left_between(task: Task) -> dict[str, float | str]:
 
 
 def few_views(run: Run) -> Iterator[Table]:
-    """A row for every number of views."""
     seeds = run.drawn(3, first=run.options.first_seed)
     jobs = [
         Task(family, radar, views, seed)

@@ -58,7 +58,6 @@ def least_gap_m(points: np.ndarray) -> float:
 
 
 def is_foreign(points: np.ndarray, enrolled: Sequence[Layout]) -> bool:
-    """Whether a tag is none of the enrolled ones."""
     layout = Layout("foreign", points)
     alike = [other for other in enrolled if other.size == layout.size]
     return all(rotational_distance(layout, other).rms_m > APART_M for other in alike)
@@ -101,7 +100,6 @@ def draw_scene(condition: Condition, number: int) -> tuple[Scene, str]:
 
 
 def _points(scene: Scene) -> Points:
-    assert scene.points is not None
     return scene.points
 
 
@@ -171,7 +169,6 @@ def _opaque(half_width_deg: float) -> Callable[[Scene, np.random.Generator], Sce
 
     def twist(scene: Scene, rng: np.random.Generator) -> Scene:
         facing = _points(scene).facing_rad
-        assert facing is not None
         return _hidden(scene, facing + np.pi, 360 - 2 * half_width_deg)
 
     return twist
@@ -187,7 +184,6 @@ def _sectors(scene: Scene, rng: np.random.Generator) -> Scene:
 
 def _askew(scene: Scene, rng: np.random.Generator) -> Scene:
     p = _points(scene)
-    assert p.facing_rad is not None
     facing = p.facing_rad + rng.uniform(-1, 1, len(p.positions)) * np.deg2rad(30.0)
     changed = replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
     return _with_points(scene, changed)

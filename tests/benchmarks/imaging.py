@@ -145,7 +145,6 @@ def scored(run: Run) -> Iterator[Table]:
 
 
 def _figure(problems: dict[str, Problem], folder: Path, name: str, truth: str = "truth") -> str:
-    """Draws the problems in every method."""
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
     picture_grid(pictures, extents, list(problems), [truth, *SHOWN], folder / f"{name}.png")

@@ -74,13 +74,11 @@ SLOW = "ATS paper"
 
 
 def is_sharp(row: str) -> bool:
-    """Whether a row of the tables is shown with the restoring beam."""
     method, preset, _ = ROWS.get(row, ROWS["blank"])
     return bool(method) and METHODS[method].sparse and preset != "paper"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which rows are computed."""
     parser.add_argument("--rows", help="these methods alone, e.g. 'BP,ATS field'")
 
 
@@ -114,7 +112,6 @@ class Problem:
     made: dict[Row, tuple[Image, float]] = field(default_factory=dict)
 
     def scans(self, matched: bool) -> BasebandScans:
-        """Scans with or without matched filter."""
         settings = PreprocessSettings(self.background, matched, extent_m=self.grid.extent)
         return preprocess(self.capture, settings=settings)
 

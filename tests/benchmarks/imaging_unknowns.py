@@ -63,7 +63,6 @@ def recover(cell: Cell) -> Recovered:
     raw, matched = problem.scans(False), problem.scans(True)
     sharp, focus = focus_axis_distance(raw, problem.grid, 0.04)
     focused = matched.with_aperture(sharp.aperture)
-    assert focus.axis_distance_m is not None
     what = ("axis", "wobble") if cell.wobble else ("axis",)
     plain = fit(raw, problem.grid, AtsSettings())
     ahead = fit(sharp, problem.grid, AtsSettings())
@@ -290,7 +289,6 @@ def score_rail(cell: RailCell) -> dict[str, float]:
         result, _, seconds = timed(lambda: image_rail(cell))
     except DataError:
         return {"delay_mm": np.nan, "detected": 0.0, "where_mm": np.nan, "seconds": np.nan, "refused": 1.0}
-    assert result.region is not None
     focus, image = result.region.focus, result.image
     located = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
     return {

@@ -19,7 +19,6 @@ def started(words: Sequence[str], environment: Mapping[str, str] | None = None) 
     command = [sys.executable, "-m", "tagid", *words, "--output", "json"]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
             yield json.loads(process.stdout.readline())["data"]
         finally:
             process.terminate()

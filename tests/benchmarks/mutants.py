@@ -69,7 +69,6 @@ class Result(NamedTuple):
 
 
 def load() -> list[Module]:
-    """The modules of `FILE`."""
     return [
         Module(item["file"], item["tests"], [Mutant(*mutant) for mutant in item["mutants"]])
         for item in tomllib.loads(FILE.read_text(encoding="utf-8"))["module"]
@@ -77,12 +76,10 @@ def load() -> list[Module]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which modules."""
     parser.add_argument("words", nargs="*", help="only modules whose path contains one of these")
 
 
 def faults(run: Run) -> Iterator[Table]:
-    """Faults by package, those that survive, and those that a test notices."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     words = run.options.words or (["storage/units"] if run.quick else [])
     modules = [m for m in load() if not words or any(word in m.file for word in words)]
@@ -199,7 +196,6 @@ def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[bool, str]:
 
 
 def report(results: list[Result]) -> Iterator[Table]:
-    """The tables, of the last run of each module."""
     rows = []
     for package, group in itertools.groupby(results, key=lambda result: result.file.split("/")[1]):
         outcome = list(group)

@@ -44,7 +44,6 @@ class Task(NamedTuple):
 
 
 def tasks(bare: int, rounds: int) -> Iterator[Task]:
-    """All readings, in the order of the tables."""
     for views, snr, number in product(BARE_VIEWS, SNRS_DB, range(bare)):
         yield Task("none", "none", views, snr, number)
     bodies = [body for body in body_scenes.BODIES if body != "none"]
@@ -54,7 +53,6 @@ def tasks(bare: int, rounds: int) -> Iterator[Task]:
 
 
 def outcome(task: Task) -> dict[str, str]:
-    """Named, wrong or refused."""
     try:
         return {"outcome": _named(task)}
     except TagidError:
@@ -84,7 +82,6 @@ def _named(task: Task) -> str:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """How many scenes."""
     parser.add_argument("--bare", type=int, default=100, help="scenes a row of bare tags")
     parser.add_argument("--rounds", type=int, default=2, help="rounds of tags on bodies, 8 scenes a row each")
 

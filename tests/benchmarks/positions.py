@@ -66,7 +66,6 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
     The handle is a point of 0.1 to 0.5 of a reflector 20 to 40 mm outside the shell, the rim an arc of 20 to
     60 degrees of points of 0.03 to 0.15 each on it.
     """
-    assert scene.points is not None
     radius = max(0.02, float(np.linalg.norm(scene.points.positions[:, :2], axis=1).max()) - 0.02)
     off, turn = rng.uniform(0, 0.006), rng.uniform(0, 2 * np.pi)
     shell = Cylinder(radius, 0.5, (off * np.cos(turn), off * np.sin(turn)))
@@ -107,7 +106,6 @@ def errors(recording: Recording) -> dict[str, list[list[float]]]:
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     refined_spots, _ = refine_positions(field, recorded.positions[:, :2])
-    assert scene.points is not None
     object_frame = scene.points.positions[:, :2]
     pair = best_pairing(refined_spots, object_frame)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
@@ -165,13 +163,11 @@ helmet, enrolled without others of their kind. {wrong}"""
 
 @cache
 def designed() -> dict[str, Layout]:
-    """The designed set."""
     family = design(builtin_objects()["helmet"], DesignRules(), DESIGNED, "designed")
     return {layout.name: layout for layout in family.layouts}
 
 
 def tags() -> list[tuple[str, str]]:
-    """Layout and body of every row."""
     bodies = {name: "helmet" if name.startswith("helmet") else "can:35mm" for name in builtin_layouts()}
     bare = [(name, "none") for name in (*bodies, *designed())]
     return bare + list(bodies.items())
@@ -207,7 +203,6 @@ def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
 
 
 def names(run: Run) -> Iterator[Table]:
-    """A row for every layout."""
     numbers = run.drawn(20, first=FIRST_GLUED)
     shown = tags()[: 1 if run.quick else None]
     jobs = [(n, *tag, d) for n in range(len(numbers)) for tag in shown for d in DISTANCES_MM]
@@ -254,7 +249,6 @@ class Case(NamedTuple):
     seed: int
 
     def planned_db(self) -> float:
-        """By `tagid plan`."""
         reflector, budget = (
             ReflectorSpec("octahedron", self.size_mm * 1e-3),
             LinkBudget(integration=self.integration),
@@ -282,12 +276,10 @@ class Case(NamedTuple):
 
 
 def level(planned_db: float) -> str:
-    """The row of the table to which a case belongs."""
     return next((f"below {top} dB" for top in (5, 15, 25, 35) if planned_db < top), "35 dB and more")
 
 
 def differences(run: Run) -> Iterator[Table]:
-    """Measured less planned SNR, by object and by planned SNR."""
     count = run.number(80, 6)
     run.seeds = f"{SEED} for the {count} cases drawn, one scene of its own per case"
     grid = list(product(PLANNED, SIZES_MM, DISTANCES_M, INDICES))

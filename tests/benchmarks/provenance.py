@@ -43,7 +43,6 @@ def command() -> str:
 
 
 def machine() -> str:
-    """Processor, cores and load, Python and numpy."""
     try:
         numpy = f"numpy {version('numpy')}"
     except PackageNotFoundError:

@@ -42,7 +42,6 @@ def answered(job: tuple[str, int, str]) -> Answer:
 
 
 def answer_to(scene: Scene) -> Answer:
-    """The reader's answer to a scene."""
     scans = preprocess(scene.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     given: Answer = {"group": scene.group, "truth": scene.truth, "name": None, "lead": None}
 
@@ -92,7 +91,6 @@ def _cells(some: Sequence[Answer]) -> list[object]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which scenes are read."""
     parser.add_argument("yardsticks", nargs="*", choices=[*YARDSTICKS, []], help="default: all")
     parser.add_argument("--rounds", type=int, default=1, help="rounds of scenes, each of other seeds")
 

@@ -175,7 +175,6 @@ class _Object(NamedTuple):
 
 
 def _in_space(layout: Layout) -> np.ndarray:
-    """(K, 3) reflectors, m."""
     return np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
 
 

@@ -68,7 +68,6 @@ class Object:
 
     @classmethod
     def of(cls, body: dict[str, Any] | None, numbers: list[Any]) -> Object:
-        """From the numbers of the file."""
         if not numbers:
             return cls(body)
         tip_mm, first, *rest = numbers
@@ -84,7 +83,6 @@ class Object:
         return 1e-3 * polar[:, :1] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
     def mesh(self) -> Mesh:
-        """All of it."""
         parts = [] if self.body is None else [body_mesh(self.body)]
         if self.places:
             parts.append(shapes.tag(self.tip_mm * 1e-3, self.reflectors_m))
@@ -131,14 +129,12 @@ SETS = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which objects."""
     parser.add_argument("names", nargs="*", help="objects; all whose files are missing")
     parser.add_argument("--set", choices=tuple(SETS), default="responses")
     parser.add_argument("--out", type=Path, help="folder of the files")
 
 
 def solve(run: Run) -> Iterator[Table]:
-    """Solve objects into response files."""
     given = run.options
     objects, sweep, folder = SETS[given.set]
     out, rows = given.out or folder, []

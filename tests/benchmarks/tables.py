@@ -49,7 +49,6 @@ class Table:
 
     @property
     def headings(self) -> Sequence[str]:
-        """Of the columns."""
         return self.columns.split(" | ") if isinstance(self.columns, str) else self.columns
 
     @property
@@ -122,7 +121,6 @@ def interval(values: np.ndarray, digits: int) -> str:
 
 
 def rms(values: Any) -> float:
-    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

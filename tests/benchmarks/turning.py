@@ -76,7 +76,6 @@ class Case(NamedTuple):
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Case:
-        """A random case."""
         layout, body = TURNED[rng.integers(len(TURNED))]
         seed, ratio = int(rng.integers(1e6)), float(rng.choice(RATIOS))
         snr_db = float(rng.choice([5, 10, 15, 20]))
@@ -97,7 +96,6 @@ class Case(NamedTuple):
 
 
 def outcome(resolved: ResolvedMotion | None) -> str:
-    """What the user is told."""
     if resolved is None:
         return "refused"
     if not resolved.shown_rpms:
@@ -109,7 +107,6 @@ def outcome(resolved: ResolvedMotion | None) -> str:
 
 
 def contradicted(run: Run) -> Iterator[Table]:
-    """What the user is told of wrong and of right speeds."""
     count = run.number(160, 6)
     run.seeds = f"{SEED}, {count} cases"
     rng = np.random.default_rng(SEED)
@@ -170,13 +167,11 @@ class Clean(NamedTuple):
 
 
 def objects() -> list[str]:
-    """Names of all objects."""
     bodies = [f"{name} on {body}" for name, body in BODIES]
     return [*PRESETS, *bodies, *(f"full-wave {name}" for name in SOLVED)]
 
 
 def clean(name: str, seed: int) -> Clean:
-    """One turn of an object."""
     rng = np.random.default_rng([seed, 77])
     x, y = 0.006 * rng.standard_normal(2)
     if name.startswith("full-wave "):
@@ -216,12 +211,10 @@ def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng
 
 
 def stops_options(parser: argparse.ArgumentParser) -> None:
-    """How many scans."""
     parser.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
 
 
 def stops(run: Run) -> Iterator[Table]:
-    """How often a stop is imagined in objects that turn, and found in those that stop."""
     seeds, scans = run.drawn(4, first=FIRST_SEED), run.options.scans
     run.seeds += " (constants were chosen on 10 to 17)"
     turning: Counter[tuple[int, bool]] = Counter()

@@ -39,7 +39,6 @@ class Recording(NamedTuple):
 
     @property
     def label(self) -> str:
-        """In the key of a scene."""
         return f"{self.views} views, {self.snr_db:.0f} dB"
 
 
@@ -66,7 +65,6 @@ def truth_of(name: str) -> str:
 
 @cache
 def response(folder: Path, name: str) -> Response:
-    """A solved object."""
     return read_response(folder / f"{name}.npz")
 
 

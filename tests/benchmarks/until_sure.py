@@ -110,7 +110,6 @@ def null_turn(at: int) -> Turn:
 
 def scaled(capture: Capture, scale: float) -> Capture:
     """The capture as a device would record it whose angles are too large by a factor."""
-    assert capture.angles_rad is not None
     return replace(capture, angles_rad=capture.angles_rad * scale)
 
 
@@ -195,12 +194,10 @@ def looks_at(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
 
 
 def _stored(looks: Sequence[Look]) -> list[Row]:
-    """Looks as JSON values."""
     return [{**asdict(item), "score": item.score if math.isfinite(item.score) else None} for item in looks]
 
 
 def _looks(row: Row) -> list[Look]:
-    """The looks of a row."""
     return [
         Look(**{**item, "score": -math.inf if item["score"] is None else item["score"]})
         for item in row["looks"]
@@ -247,7 +244,6 @@ def ending(row: Row, calibration: EndingCalibration) -> tuple[float, str | None]
 
 
 def null_table(rows: Sequence[Row], calibration: EndingCalibration) -> Table:
-    """False names by kind."""
     lines = []
     for kind in (*sorted({row["kind"] for row in rows}), "all"):
         some = [row for row in rows if kind in (row["kind"], "all")]
@@ -266,7 +262,6 @@ def null_table(rows: Sequence[Row], calibration: EndingCalibration) -> Table:
 
 
 def tag_table(rows: dict[Tagged, Row], calibration: EndingCalibration) -> Table:
-    """Share of the turn and errors, against the whole turn in the same run."""
     lines = []
     for group, some in grouped(rows, lambda task: task.group).items():
         ends = [ending(row, calibration) for row in some]
@@ -300,7 +295,6 @@ def tag_table(rows: dict[Tagged, Row], calibration: EndingCalibration) -> Table:
 
 
 def tagged(count: int) -> list[Tagged]:
-    """Turns with a tag, by the rows of the table."""
     numbers = range(count)
     sets = ("paper", "helmet-16")
     tasks = [Tagged(n, f"{e}, {snr:g} dB", snr, e) for e, snr, n in product(sets, SNRS_DB, numbers)]
@@ -315,7 +309,6 @@ def tagged(count: int) -> list[Tagged]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Whose turns."""
     parser.add_argument("--nulls", type=int, help="turns without a tag; 2000, or 20 for a look")
 
 
@@ -326,7 +319,6 @@ def _nulls(run: Run, first: int) -> tuple[range, list[Row]]:
 
 
 def endings(run: Run) -> Iterator[Table]:
-    """Turns without an enrolled tag, and with one."""
     calibration, count = EndingCalibration.shipped(), run.number(14)
     numbers, rows = _nulls(run, FIRST_REPORTED)
     run.seeds = f"{numbers[0]} to {numbers[-1]} without a tag, {REPORT} to {REPORT + count - 1} with one"
@@ -335,7 +327,6 @@ def endings(run: Run) -> Iterator[Table]:
 
 
 def calibrate(run: Run) -> Iterator[Table]:
-    """Make `tagid/reading/ending.json` (with --write)."""
     numbers, rows = _nulls(run, CALIBRATE)
     run.seeds = f"{numbers[0]} to {numbers[-1]}"
     scores = sorted((row["largest"] for row in rows if row["largest"] is not None), reverse=True)
