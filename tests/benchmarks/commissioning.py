@@ -12,7 +12,6 @@ in real time; taping and gluing are not in them.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import math
 import os
 import socket
@@ -43,7 +42,7 @@ from tagid.simulate.rig import NOMINAL_DISTANCE_M, parse_rig
 from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.layout import builtin_layouts
 from tests.benchmarks.measure import started, timed
-from tests.benchmarks.provenance import ROOT
+from tests.benchmarks.provenance import ROOT, imported
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, grouped
 
@@ -244,14 +243,6 @@ return row ? [row.className, row.innerText, !button.disabled] : ['', '', false];
 """
 
 
-def _pictures() -> Any:
-    """The script of the pictures of docs/station.md: its browser and sizes serve here."""
-    spec = importlib.util.spec_from_file_location("pictures", ROOT / "docs" / "make_station_pictures.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def _free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -281,7 +272,8 @@ def _sheet(shots: list[Path]) -> None:
 
 
 def walk(run: Run) -> Iterator[Table]:
-    rig, script, port = parse_rig(RIG), _pictures(), _free_port()
+    rig, port = parse_rig(RIG), _free_port()
+    script = imported(ROOT / "docs" / "make_station_pictures.py")  # its browser and sizes
     run.seeds = RIG
     rows, shots, began = [], [], 0.0
     typed = {

@@ -6,9 +6,9 @@ Shared by all imaging experiments, so that every table has the same rows and mea
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -90,14 +90,11 @@ def chosen(run: Run, rows: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One scene as every method gets it.
+    """One scene as every method gets it; the seed is of methods with random weights.
 
     Attributes:
-        capture: the recording; its axis distance is the true one unless an experiment says otherwise.
-        grid: pixels of all methods.
         truth: (pixels, pixels) what the magnitude should look like.
         points, amplitudes: (n, 2) m and (n,) complex, true ones; empty for extended objects.
-        seed: of methods with random weights.
         background: what is removed from the scans before imaging; point scenes hold no clutter.
         made: images made already, before the restoring beam.
     """
@@ -122,10 +119,8 @@ class Problem:
             return blank(self.grid), 0.0
         scans = self.scans(METHODS[method].matched_filter)
         if made_by not in self.made:
-            how = (method, self.seed, preset or "field")
-            image, _, seconds = timed(
-                lambda: make_image(scans, self.grid, *how, ats=AtsSettings(steps=steps))
-            )
+            how = (scans, self.grid, method, self.seed, preset or "field")
+            image, _, seconds = timed(partial(make_image, *how, ats=AtsSettings(steps=steps)))
             self.made[made_by] = image, seconds
         image, seconds = self.made[made_by]
         if is_sharp(row) and not bare:
@@ -268,13 +263,9 @@ CAN, BOTTLE = (0.033, 0.122), (0.033, 0.2)
 
 
 class Object(NamedTuple):
-    """An extended object: bodies, the outline that reflects, and the side of its image.
+    """An extended object: bodies for the simulator, the outline that reflects, the side of its image, m.
 
-    Attributes:
-        bodies: for the simulator.
-        circles: (x, y, radius) of cylinders, m.
-        squares: sides of squares about the origin, m.
-        extent_m: side of the image, m.
+    The outline is circles (x, y, radius) and sides of squares about the origin, m.
     """
 
     bodies: tuple[object, ...]
@@ -306,16 +297,16 @@ def _pair(shape: tuple[float, float], apart_m: float, extent_m: float) -> Object
     return Object(bodies, tuple((x, 0.0, shape[0]) for x in places), (), extent_m)
 
 
-OBJECTS: dict[str, Callable[[], Object]] = {
-    "can in a cardboard box": lambda: Object(
+OBJECTS = {
+    "can in a cardboard box": Object(
         (ConductingCylinder(*CAN, (0.0, 0.0)), *cardboard_box(0.25, 0.25)),
         ((0.0, 0.0, CAN[0]),),
         (0.25,),
         0.5,
     ),
-    "two bottles 17.78 cm apart": lambda: _pair(BOTTLE, 0.1778, 0.5),
-    "two cans 68.58 cm apart": lambda: _pair(CAN, 0.6858, 1.0),
-    "metal box of 24.13 cm": lambda: Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
+    "two bottles 17.78 cm apart": _pair(BOTTLE, 0.1778, 0.5),
+    "two cans 68.58 cm apart": _pair(CAN, 0.6858, 1.0),
+    "metal box of 24.13 cm": Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
 }
 
 
@@ -323,7 +314,7 @@ OBJECTS: dict[str, Callable[[], Object]] = {
 def _object_echo(name: str) -> tuple[Capture, float]:
     """A whole turn of 360 scans of an object without noise, and the peak of its envelope."""
     acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, recording=Recording("float32"))
-    capture, truth = record_scene(Scene("object", OBJECTS[name]().bodies), acquisition)
+    capture, truth = record_scene(Scene("object", OBJECTS[name].bodies), acquisition)
     return capture, truth.levels.reflector
 
 
@@ -334,7 +325,7 @@ def object_problem(name: str, angles_deg: np.ndarray, snr_db: float, seed: int) 
     noise = peak * 10 ** (-snr_db / 20) * rng.standard_normal(whole.samples.shape)
     capture = replace(whole, samples=(whole.samples + noise).astype(np.float32))
     chosen = capture.select(np.asarray(angles_deg, dtype=np.intp))
-    thing = OBJECTS[name]()
+    thing = OBJECTS[name]
     return Problem(chosen, thing.grid, thing.outline(thing.grid), seed=seed)
 
 

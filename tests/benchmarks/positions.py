@@ -23,11 +23,9 @@ import numpy as np
 from tagid.enrolling.averaging import position_covariances
 from tagid.enrolling.field import MatchedField
 from tagid.enrolling.reflectors import refine_positions
-from tagid.errors import TagidError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.motion.turntable import OVERLAP_TURNS
-from tagid.pipeline.identify import identify
 from tagid.planning.plan import Setup, planned_snr_db
 from tagid.radar.settings import RadarConfig
 from tagid.reading.views import fold_views
@@ -51,7 +49,7 @@ from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import builtin_objects
-from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_scene, record_scene
+from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_scene, outcome_of, record_scene
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, column, grouped, rms
 
@@ -193,13 +191,7 @@ def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
     placement = Placement((off * math.cos(turn), off * math.sin(turn)), rng.uniform(0, 2 * math.pi))
     acquisition = Acquisition(views=VIEWS, snr_db=SNR_DB, placement=placement, wobble=Wobble(speed=0.005))
     capture, _ = simulate_capture(scene, acquisition, seed)
-    try:
-        answer = identify(capture, list(enrolled.values()))
-    except TagidError:
-        return {"outcome": "refused"}
-    if answer.status != "identified" or answer.reading is None:
-        return {"outcome": "refused"}
-    return {"outcome": "named" if answer.reading.layout == name else "wrong"}
+    return {"outcome": outcome_of(capture, list(enrolled.values()), name)}
 
 
 def names(run: Run) -> Iterator[Table]:

@@ -32,7 +32,7 @@ from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
-from tests.benchmarks.fullwave_scenes import recorded
+from tests.benchmarks.fullwave_scenes import NAMES, recorded
 from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
 from tests.benchmarks.provenance import SHARED
 
@@ -46,12 +46,7 @@ VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
 
 FULL_WAVE = {
-    ("tagged", "none"): {
-        **{f"free{d}_c90": "container-90" for d in (20, 40)},
-        **{f"free{d}_c180": "container-180" for d in (20, 40)},
-        **{f"free{d}_h120": "helmet-120" for d in (20, 40)},
-        **{f"free{d}_lin": "helmet-linear" for d in (20, 40)},
-    },
+    ("tagged", "none"): {f"free{size}_{kind}": name for kind, name in NAMES.items() for size in (20, 40)},
     ("tagged", "can"): {"can35_c90": "container-90", "can28_c180": "container-180"},
     ("tagged", "helmet"): {"shell_h120_20": "helmet-120", "shell_h120_40": "helmet-120"},
     ("foreign", "none"): {"free20_one": "", "free40_one": ""},
@@ -65,17 +60,8 @@ the set's layouts, which is left out of the registry for that scene."""
 
 
 class Cell(NamedTuple):
-    """One cell of the grid.
-
-    Attributes:
-        world: "own" or "full-wave".
-        group: tagged, foreign or untagged.
-        enrolled: name of the set of enrolled layouts.
-        body: one of BODIES.
-        offset_mm: distance of the object from the rotation axis, in a random direction.
-        snr_db, views: of the recording.
-        pulse: one of PULSES; the capture states neither.
-    """
+    """One cell of the grid: `enrolled` of `identification_scenes.SETS`, the object off the axis in a random
+    direction, one of PULSES, which no capture states."""
 
     world: str
     group: str

@@ -25,7 +25,8 @@ from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import ResponseBody
 from tagid.simulate.scene import Scene, StaticReturns
-from tests.benchmarks.solved_objects import LAYOUTS, OBJECTS
+from tests.benchmarks.fullwave_scenes import NAMES
+from tests.benchmarks.solved_objects import OBJECTS
 
 TURN = 2 * np.pi * np.arange(24) / 24
 """Angles at which echoes are measured for the SNR and the room."""
@@ -60,7 +61,7 @@ def base_of(name: str) -> str:
 
 def truth_of(name: str) -> str:
     """The built-in layout that an object carries; "" for none."""
-    return LAYOUTS.get(name.partition("_")[2], "")
+    return NAMES.get(name.partition("_")[2], "")
 
 
 @cache

@@ -8,7 +8,6 @@ and its name has the rest of the error. Nothing is chosen on these turns.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
@@ -193,15 +192,8 @@ def looks_at(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
     return [first, middle, last]
 
 
-def _stored(looks: Sequence[Look]) -> list[Row]:
-    return [{**asdict(item), "score": item.score if math.isfinite(item.score) else None} for item in looks]
-
-
 def _looks(row: Row) -> list[Look]:
-    return [
-        Look(**{**item, "score": -math.inf if item["score"] is None else item["score"]})
-        for item in row["looks"]
-    ]
+    return [Look(**item) for item in row["looks"]]
 
 
 def read_null(task: tuple[int]) -> Row:
@@ -209,7 +201,7 @@ def read_null(task: tuple[int]) -> Row:
     turn = null_turn(*task)
     looks = looks_at(turn, lambda middle: middle.layout is not None)
     score = largest(looks) if len(looks) == len(LOOKS) else -math.inf
-    return {"kind": turn.kind, "looks": _stored(looks), "largest": score if math.isfinite(score) else None}
+    return {"kind": turn.kind, "looks": [*map(asdict, looks)], "largest": score}
 
 
 def whole_turn(turn: Turn, spent: float) -> Reading:
@@ -229,7 +221,7 @@ def read_tagged(task: Tagged) -> Row:
     every = whole_turn(turn, 0.0)
     rest = whole_turn(turn, SPENT) if every.status == "identified" else every
     answers = {key: [item.status, item.layout] for key, item in (("rest", rest), ("whole", every))}
-    return {"name": turn.name, "looks": _stored(looks), **answers}
+    return {"name": turn.name, "looks": [*map(asdict, looks)], **answers}
 
 
 def ending(row: Row, calibration: EndingCalibration) -> tuple[float, str | None]:
@@ -308,13 +300,9 @@ def tagged(count: int) -> list[Tagged]:
     ]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--nulls", type=int, help="turns without a tag; 2000, or 20 for a look")
-
-
 def _nulls(run: Run, first: int) -> tuple[range, list[Row]]:
     """Numbers of null turns, and the looks at them."""
-    numbers = range(first, first + (run.options.nulls or (20 if run.quick else 2000)))
+    numbers = range(first, first + (20 if run.quick else 2000))
     return numbers, [*run.each(read_null, [(number,) for number in numbers]).values()]
 
 
@@ -329,7 +317,7 @@ def endings(run: Run) -> Iterator[Table]:
 def calibrate(run: Run) -> Iterator[Table]:
     numbers, rows = _nulls(run, CALIBRATE)
     run.seeds = f"{numbers[0]} to {numbers[-1]}"
-    scores = sorted((row["largest"] for row in rows if row["largest"] is not None), reverse=True)
+    scores = sorted((row["largest"] for row in rows if math.isfinite(row["largest"])), reverse=True)
     span = (numbers.start, numbers.stop)
     made = EndingCalibration(STATEMENT, span, LOOKS, FEWEST_VIEWS, len(rows), tuple(scores))
     if run.pictures:
