@@ -69,7 +69,8 @@ def batch_arrays(
         seen = network_input(samples, i)
         relative, reflectors = symmetry(seen.relative, samples.reflectors[i], turn)
         _, ghosts = symmetry(seen.relative, samples.ghosts[i], turn)
-        planes.append(replace(seen, relative=relative).planes())
+        whole = relative.copy(order="K")  # of a turned view, magnitudes differ in the last digit
+        planes.append(replace(seen, relative=whole).planes())
         rows.append(cell_targets(reflectors, ghosts))
     present = np.isfinite(samples.reflectors[which][:, 0, 0])
     parts = (np.stack(planes), *map(np.stack, zip(*rows, strict=True)), present)

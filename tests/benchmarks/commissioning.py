@@ -281,39 +281,36 @@ def walk(run: Run) -> Iterator[Table]:
         "c-height": f"{rig.antenna_height_m:.3f}",
         "c-target": f"{rig.axis_distance_m:.3f}",
     }
-    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as table:
-        config = Path(folder) / "config.toml"
-        config.write_text(
-            f'[radar]\nurl = "udp://127.0.0.1:{port}"\nintegration = 15\n'
-            f'[motion]\nurl = "free?rpm={60 / rig.period_s:.2g}"\naxis_distance_m = 1.0\n'
-        )
-        environment = {**os.environ, "TAGID_DATA": folder, "TAGID_CONFIG": str(config)}
-        with started(["station", "--bind", "127.0.0.1:0"], environment) as station:
-            page = script.browser(f"{folder}/profile")
-            try:
-                script.size(page, "tablet", "light")
-                page.get(f"{station['url']}#view-commission")
-                for number, (step, scene, acts) in enumerate(ON_PAGE):
-                    if acts:
-                        table.close()
-                        words = f"emulate p440 --bind 127.0.0.1:{port} --rig {RIG} --scene {scene}"
-                        table.enter_context(started(words.split(), environment))
-                        _until(page, step, ())
-                        began = time.monotonic()
-                        for field, value in typed.items() if step == "link" else ():
-                            page.execute_script(TYPE, field, value)
-                        page.execute_script(f"{BUTTON}.click()", step)
-                    state, text = _until(page, step, ("passed", "failed"))
-                    seconds, began = time.monotonic() - began, time.monotonic()
-                    page.execute_script(f"{BUTTON}.closest('li').scrollIntoView({{block: 'center'}})", step)
-                    shots.append(Path(folder) / f"{number}.png")
-                    script.take(page, shots[-1])
-                    first = text.splitlines()[-1] if state == "failed" else ""
-                    rows.append((step, "; ".join(acts) or "-", f"{seconds:.0f}", f"{state} {first}".strip()))
-                    run.say(f"{step}: {state} in {seconds:.0f} s")
-            finally:
-                page.quit()
-        _sheet(shots)
+    Path(os.environ["TAGID_CONFIG"]).write_text(
+        f'[radar]\nurl = "udp://127.0.0.1:{port}"\nintegration = 15\n'
+        f'[motion]\nurl = "free?rpm={60 / rig.period_s:.2g}"\naxis_distance_m = 1.0\n'
+    )
+    with (
+        started(["station", "--bind", "127.0.0.1:0"]) as station,
+        script.browser(f"{run.folder}/profile") as page,
+        contextlib.ExitStack() as table,
+    ):
+        script.size(page, "tablet", "light")
+        page.get(f"{station['url']}#view-commission")
+        for number, (step, scene, acts) in enumerate(ON_PAGE):
+            if acts:
+                table.close()
+                words = f"emulate p440 --bind 127.0.0.1:{port} --rig {RIG} --scene {scene}"
+                table.enter_context(started(words.split()))
+                _until(page, step, ())
+                began = time.monotonic()
+                for field, value in typed.items() if step == "link" else ():
+                    page.execute_script(TYPE, field, value)
+                page.execute_script(f"{BUTTON}.click()", step)
+            state, text = _until(page, step, ("passed", "failed"))
+            seconds, began = time.monotonic() - began, time.monotonic()
+            page.execute_script(f"{BUTTON}.closest('li').scrollIntoView({{block: 'center'}})", step)
+            shots.append(run.folder / f"{number}.png")
+            script.take(page, shots[-1])
+            first = text.splitlines()[-1] if state == "failed" else ""
+            rows.append((step, "; ".join(acts) or "-", f"{seconds:.0f}", f"{state} {first}".strip()))
+            run.say(f"{step}: {state} in {seconds:.0f} s")
+    _sheet(shots)
     minutes = sum(float(row[2]) for row in rows) / 60
     decisions = sum(len(acts) for _, _, acts in ON_PAGE)
     yield Table(

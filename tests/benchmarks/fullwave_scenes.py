@@ -26,10 +26,7 @@ def known(name: str) -> bool:
 @cache
 def full_wave() -> Any:
     """The scene maker beside the responses, which knows ours and sums of two, "a+b", too."""
-    path = FULLWAVE / "scenes.py"
-    if not path.is_file():
-        raise SystemExit(f"{path} is missing: set TAGID_SHARED to the folder that holds fullwave/")
-    module = imported(path)
+    module = imported(FULLWAVE / "scenes.py")
     for own in OWN.glob("*.npz"):
         if (FULLWAVE / "responses" / own.name).is_file():
             continue

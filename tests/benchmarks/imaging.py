@@ -91,7 +91,7 @@ def score(cell: tuple[Case, int, str]) -> dict[str, float]:
     image, seconds = problem.image(row)
     scores = {
         "held_out": held_out_percent(problem, row),
-        "lpips": perceptual(image, problem.truth),
+        "lpips": perceptual(image.values, problem.truth),
         "psnr_db": psnr(image.values, problem.truth),
         "seconds": seconds,
     }

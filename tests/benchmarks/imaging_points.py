@@ -94,7 +94,7 @@ def score_points(cell: PointCell) -> dict[str, float]:
         "bound_mm": cramer_rao_mm(problem.points, cell.views, cell.noise, problem.amplitudes),
         "held_out": held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan"),
         "psnr_db": psnr(shown.values, truth),
-        "lpips": perceptual(shown, truth),
+        "lpips": perceptual(shown.values, truth),
         "seconds": seconds,
     }
 
@@ -176,7 +176,7 @@ def score_paper(cell: tuple[int, int, int, str]) -> dict[str, float]:
     image, seconds = problem.image(row)
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
     quality = psnr(image.values, truth)
-    return {"psnr": quality, "lpips": perceptual(image, truth), "seconds": seconds}
+    return {"psnr": quality, "lpips": perceptual(image.values, truth), "seconds": seconds}
 
 
 def paper(run: Run) -> Iterator[Table]:

@@ -44,7 +44,8 @@ from train.metrics import blank, lpips, truth_image
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0
 FIRST_SEED = 20_000
-LPIPS_MODEL = SHARED / "data" / "lpips" / "lpips_sq.onnx"
+perceptual = partial(lpips, model=SHARED / "data" / "lpips" / "lpips_sq.onnx")
+"""LPIPS of the values of an image against the drawn truth."""
 
 
 class Row(NamedTuple):
@@ -128,11 +129,6 @@ class Problem:
         return image, seconds
 
 
-def perceptual(image: Image, truth: np.ndarray) -> float:
-    """LPIPS against the drawn truth; nan where its model is not at hand."""
-    return lpips(image.values, truth, LPIPS_MODEL) if LPIPS_MODEL.is_file() else float("nan")
-
-
 def echoes(points: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """(n, views, bins) analytic echo of a unit point at each of (n, 2), m."""
     antenna = Aperture.turntable(angles, AXIS_DISTANCE_M).positions
@@ -196,9 +192,6 @@ def held_out_percent(problem: Problem, row: str) -> float:
     if not method or preset == "paper" or method == "range-doppler":
         return float("nan")
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
-    if method in ("bp", "bp-raw"):
-        checked = check(scans, raw, problem.grid, None)
-        return 100 * checked.residual if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
@@ -214,7 +207,8 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return fit(every, problem.grid, replace(ats, seed=problem.seed), unseen=unseen).held_out
 
     field = method == "ats" and prior.field
-    checked = check(scans, raw, problem.grid, make, predicted if field else None)
+    fitted = method not in ("bp", "bp-raw")
+    checked = check(scans, raw, problem.grid, make if fitted else None, predicted if field else None)
     return 100 * checked.residual if checked is not None else float("nan")
 
 
