@@ -91,7 +91,7 @@ def fit(
 @app.command()
 def evaluate(work: Folder = WORK) -> None:
     """Print the figures of the trained network on test scenes. Example: python -m train evaluate"""
-    from train.card import figures_table, measure
+    from train.export import figures_table, measure
 
     Console(soft_wrap=True).print(figures_table(measure(work).figures), markup=False)
 
@@ -103,9 +103,8 @@ def export(work: Folder = WORK, install: Install = False) -> None:
     Example: python -m train export
     Example: python -m train export --install
     """
-    from train.card import measure, write_card
     from train.detector import FOLDER
-    from train.export import check_better
+    from train.export import check_better, measure, write_card
     from train.export import export as write_model
 
     measured = measure(work)

@@ -64,16 +64,14 @@ given and of the best guess."""
 def try_task(task: Task) -> Outcome:
     """Draw a scene and search as every method does."""
     if task.kind == "rail":
-        capture, delay = draw_rail(task.name, task.seed)
+        capture, true = draw_rail(task.name, task.seed)
         focus = choose_region(capture, ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True).focus
-        given, true, lam = 0.0, delay, capture.wavelength_m
+        given, lam = 0.0, capture.wavelength_m
     else:
-        full_wave = task.kind == "full wave"
-        scene = (
-            full_wave_scene(task.name, task.seed)
-            if full_wave
-            else draw_scene(task.name, RADARS[task.radar], task.seed)
-        )
+        if task.kind == "full wave":
+            scene = full_wave_scene(task.name, task.seed)
+        else:
+            scene = draw_scene(task.name, RADARS[task.radar], task.seed)
         focus = PreparedCapture(scene.capture, ImagingSettings(extent_m=scene.extent_m)).focus()
         given, true, lam = scene.capture.axis_distance_m or 0.0, scene.true_m, scene.wavelength_m
     guess = float("nan") if focus.best_m is None else (focus.best_m - true) / lam

@@ -266,9 +266,8 @@ def rail_capture(cell: RailCell) -> tuple[Capture, float]:
     samples = 0.1 * rng.standard_normal((600, 960))
     for amplitude, point in zip((1.0, 0.7), RAIL_POINTS, strict=True):
         distance = np.linalg.norm(antenna - np.append(point, 0.0), axis=1) + delay
-        samples += (
-            amplitude * pulse_at(nominal_pulse(), 2 * (ranges - distance[:, None]) / SPEED_OF_LIGHT).real
-        )
+        delays = 2 * (ranges - distance[:, None]) / SPEED_OF_LIGHT
+        samples += amplitude * pulse_at(nominal_pulse(), delays).real
     return Capture(samples.astype(np.float32), 0.0, RANGE_STEP_M, antenna_positions_m=antenna), delay
 
 

@@ -159,7 +159,7 @@ def try_all(copy: Path, module: Module) -> list[Result]:
             remark = mutant.reason if survived else tests[0] if tests else f"the limit of {limit_s:.0f} s"
             results.append(Result(module.file, mutant, not survived, remark))
         state = "killed" if results[-1].killed else "SURVIVED"
-        print(f"{state} {module.file}: {one_line(mutant.now)}: {results[-1].remark}", file=sys.stderr)
+        print(f"{state} {module.file}: {code(mutant.now)}: {results[-1].remark}", file=sys.stderr)
     write(path, source)
     return results
 
@@ -212,9 +212,5 @@ def report(results: list[Result]) -> Iterator[Table]:
         yield Table(f"file | was | fault | {column}", lines, f"{name.capitalize()}:", name)
 
 
-def one_line(text: str) -> str:
-    return " ".join(text.split())
-
-
 def code(text: str) -> str:
-    return f"`` {one_line(text)} ``"
+    return f"`` {' '.join(text.split())} ``"

@@ -37,7 +37,6 @@ from tagid.simulate import (
     ReflectorSpec,
     Wobble,
     parse_body,
-    parse_reflector,
     simulate_capture,
 )
 from tagid.simulate.budget import LinkBudget
@@ -53,6 +52,7 @@ from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_s
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, column, grouped, rms
 
+LAYOUTS = builtin_layouts()
 CONDITIONS = ((36, 20), (36, 10), (36, 0), (12, 10))
 ENROLLED = ("helmet-16", "mug-8")
 RADIUS_M = 0.18
@@ -76,15 +76,7 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 class Recording(NamedTuple):
-    """A recording of one object.
-
-    Attributes:
-        enrolled: the set of layouts that the object is drawn from.
-        own_echoes: whether its body echoes, too.
-        views, snr_db: of the recording.
-        number: of the object.
-        again: of the recording of that object, from 0.
-    """
+    """The so many-th recording of a numbered object of a set of layouts, whose body may echo, too."""
 
     enrolled: str
     own_echoes: bool
@@ -165,27 +157,17 @@ def designed() -> dict[str, Layout]:
     return {layout.name: layout for layout in family.layouts}
 
 
-def tags() -> list[tuple[str, str]]:
-    bodies = {name: "helmet" if name.startswith("helmet") else "can:35mm" for name in builtin_layouts()}
-    bare = [(name, "none") for name in (*bodies, *designed())]
-    return bare + list(bodies.items())
-
-
-def displaced(layout: Layout, distance_m: float, rng: np.random.Generator) -> Layout:
-    """The layout with every reflector moved by a distance in a random direction."""
-    turn = rng.uniform(0, 2 * math.pi, layout.size)
-    moved = layout.positions + distance_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return replace(layout, positions=moved, symmetry=0)
-
-
 def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
     """The outcome of a tag, of its number, layout, body, and the distance in mm: named, wrong or refused."""
     number, name, body, distance_mm = job
-    enrolled = builtin_layouts() if name in builtin_layouts() else designed()
+    enrolled = LAYOUTS if name in LAYOUTS else designed()
     rng = np.random.default_rng([FIRST_GLUED, number])
-    glued = displaced(enrolled[name], distance_mm * 1e-3, rng)
+    layout = enrolled[name]
+    turn = rng.uniform(0, 2 * math.pi, layout.size)
+    moved = layout.positions + distance_mm * 1e-3 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    glued = replace(layout, positions=moved, symmetry=0)
     seed = FIRST_GLUED + number
-    reflector = parse_reflector("octahedron:40mm")
+    reflector = ReflectorSpec("octahedron", 0.04)
     scene = scene_on_body(name, parse_body(body), reflector, seed, layouts={name: glued})
     off, turn = 0.004 * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
     placement = Placement((off * math.cos(turn), off * math.sin(turn)), rng.uniform(0, 2 * math.pi))
@@ -196,7 +178,9 @@ def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
 
 def names(run: Run) -> Iterator[Table]:
     numbers = run.drawn(20, first=FIRST_GLUED)
-    shown = tags()[: 1 if run.quick else None]
+    bodies = {name: "helmet" if name.startswith("helmet") else "can:35mm" for name in LAYOUTS}
+    tags = [*((name, "none") for name in (*bodies, *designed())), *bodies.items()]
+    shown = tags[: 1 if run.quick else None]
     jobs = [(n, *tag, d) for n in range(len(numbers)) for tag in shown for d in DISTANCES_MM]
     results = run.each(reading, jobs)
     outcomes = grouped(results, lambda job: job[1:])
@@ -211,7 +195,6 @@ def names(run: Run) -> Iterator[Table]:
     yield Table(columns, rows, note)
 
 
-LAYOUTS = builtin_layouts()
 PLANNED = (
     ("container-180", "none"),
     ("container-90", "can:35mm"),
@@ -241,11 +224,13 @@ class Case(NamedTuple):
     seed: int
 
     def planned_db(self) -> float:
-        reflector, budget = (
-            ReflectorSpec("octahedron", self.size_mm * 1e-3),
+        reflector = ReflectorSpec("octahedron", self.size_mm * 1e-3)
+        where = (
+            parse_body(self.body),
+            self.distance_m,
+            60 / PERIOD_S,
             LinkBudget(integration=self.integration),
         )
-        where = (parse_body(self.body), self.distance_m, 60 / PERIOD_S, budget)
         return planned_snr_db(Setup(LAYOUTS[self.layout], reflector, *where))
 
     def measured_db(self) -> float | None:
