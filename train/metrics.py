@@ -99,16 +99,14 @@ def localise(
     return Localisation(rmse, len(pairs), len(truth) - len(pairs), len(points) - len(pairs))
 
 
-def pick_peaks(
-    image: Image, count: int, separation_m: float = MATCH_RADIUS_M, threshold: float = 0.3
-) -> NDArray[np.float64]:
+def pick_peaks(image: Image, count: int, separation_m: float = MATCH_RADIUS_M) -> NDArray[np.float64]:
     """The strongest pixels (n <= count, 2), m, none closer to a stronger one than `separation_m`.
 
-    A plain peak picker for scoring images of any method. Pixels below `threshold` times the maximum are not
-    peaks. The position is the power-weighted mean of the 3 x 3 pixels around the maximum.
+    A plain peak picker for scoring images of any method. Pixels below 0.3 of the maximum are not peaks. The
+    position is the power-weighted mean of the 3 x 3 pixels around the maximum.
     """
     power = np.abs(image.values).astype(np.float64) ** 2
-    least = float(power.max()) * threshold**2
+    least = 0.3**2 * float(power.max())
     remaining = power.copy()
     x, y = np.meshgrid(image.grid.axis, image.grid.axis)
     peaks: list[tuple[float, float]] = []

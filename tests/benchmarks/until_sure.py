@@ -9,7 +9,7 @@ and its name has the rest of the error. Nothing is chosen on these turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -183,13 +183,9 @@ class Tagged(NamedTuple):
     body: str = ""
 
 
-def looks_at(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
-    """The looks at a turn; only the middle one where `needed` says that no other can matter."""
-    middle = look(part_of_turn(turn.capture, LOOKS[1]), turn.layouts, LOOKS[1])
-    if not needed(middle):
-        return [middle]
-    first, last = (look(part_of_turn(turn.capture, s), turn.layouts, s) for s in (LOOKS[0], LOOKS[2]))
-    return [first, middle, last]
+def look_at(turn: Turn, part: float) -> Look:
+    """The look at a turn after a part of it."""
+    return look(part_of_turn(turn.capture, part), turn.layouts, part)
 
 
 def _looks(row: Row) -> list[Look]:
@@ -199,8 +195,10 @@ def _looks(row: Row) -> list[Look]:
 def read_null(task: tuple[int]) -> Row:
     """The looks at a null turn. Both pairs of looks contain the middle one, which often decides alone."""
     turn = null_turn(*task)
-    looks = looks_at(turn, lambda middle: middle.layout is not None)
-    score = largest(looks) if len(looks) == len(LOOKS) else -math.inf
+    looks, score = [look_at(turn, LOOKS[1])], -math.inf
+    if looks[0].layout is not None:
+        looks = [look_at(turn, LOOKS[0]), *looks, look_at(turn, LOOKS[2])]
+        score = largest(looks)
     return {"kind": turn.kind, "looks": [*map(asdict, looks)], "largest": score}
 
 
@@ -217,7 +215,7 @@ def read_tagged(task: Tagged) -> Row:
         turn = tagged_body_turn(task.number, task.world, task.body, task.snr_db)
     else:
         turn = tagged_turn(REPORT + task.number, task.enrolled, task.snr_db, task.scale)
-    looks = looks_at(turn, lambda middle: True)
+    looks = [look_at(turn, part) for part in LOOKS]
     every = whole_turn(turn, 0.0)
     rest = whole_turn(turn, SPENT) if every.status == "identified" else every
     answers = {key: [item.status, item.layout] for key, item in (("rest", rest), ("whole", every))}
