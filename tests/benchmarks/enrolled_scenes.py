@@ -31,7 +31,7 @@ from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
 from tests.benchmarks.fullwave_scenes import full_wave, recorded
-from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
+from tests.benchmarks.identification_scenes import SETS, in_space, is_foreign, least_gap_m
 
 DISTANCE_M = 1.0
 POPULATION = "development/1"
@@ -259,7 +259,7 @@ def _own(
     positions = np.zeros((0, 3))
     ring = np.zeros(2)
     if layout is not None:
-        positions = np.column_stack([layout.positions[:, :2], layout.heights])
+        positions = in_space(layout)
         ring = rng.normal(0, 0.5e-3, 2)
     # The handle stands alike in every capture, counted from the tag: the tag is glued on anywhere.
     parts_rad = float(np.random.default_rng(zlib.crc32(carrier.body.encode())).uniform(0, 2 * np.pi))

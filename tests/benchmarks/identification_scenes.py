@@ -55,6 +55,11 @@ APART_M = 0.012
 """Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 
+def in_space(layout: Layout) -> np.ndarray:
+    """(K, 3) reflectors, m."""
+    return np.column_stack([layout.positions, layout.heights])
+
+
 def least_gap_m(points: np.ndarray) -> float:
     """Smallest distance between points, m."""
     return float((np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))).min())
@@ -93,8 +98,7 @@ def draw_scene(condition: Condition, number: int) -> tuple[Scene, str]:
     if condition.group == "tagged":
         layouts = SETS[condition.enrolled]
         layout = layouts[number % len(layouts)]
-        space = np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
-        return scene_from_layout(space, layout.name, seed), layout.name
+        return scene_from_layout(in_space(layout), layout.name, seed), layout.name
     if condition.group == "untagged":
         name = UNTAGGED[number % len(UNTAGGED)]
         return scene_from_name(name, seed), name

@@ -77,7 +77,7 @@ def scene_of(case: Case, seed: int) -> Problem:
     """A tag on its object in a room, or an object seen with noise 20 dB under the peak."""
     if case.name in TAGS:
         return field_problem(case.name, seed)
-    return object_problem(case.name, np.arange(0, case.last_deg, case.step_deg), 20.0, seed)
+    return object_problem(case.name, np.arange(0, case.last_deg, case.step_deg), seed)
 
 
 def score(cell: tuple[Case, int, str]) -> dict[str, float]:

@@ -36,6 +36,7 @@ from tagid.simulate import (
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.identification_scenes import least_gap_m
 from tests.benchmarks.measure import timed
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
@@ -176,8 +177,7 @@ def drawn_points(views: int, noise: float, seed: int, count: int | None = None) 
     count = 2 + seed % 3 if count is None else count
     while True:
         points = rng.uniform(-0.22, 0.22, (count, 2))
-        apart = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if apart.min() > 0.05:
+        if least_gap_m(points) > 0.05:
             break
     amplitudes = rng.uniform(0.5, 1, count) * np.exp(2j * np.pi * rng.random(count))
     return point_problem(points, views, noise, rng, amplitudes=amplitudes)
@@ -312,11 +312,11 @@ def _object_echo(name: str) -> tuple[Capture, float]:
     return capture, truth.levels.reflector
 
 
-def object_problem(name: str, angles_deg: np.ndarray, snr_db: float, seed: int) -> Problem:
-    """A recording of an object at some angles (degrees) of a whole turn; the seed draws the noise."""
+def object_problem(name: str, angles_deg: np.ndarray, seed: int) -> Problem:
+    """An object at some angles, degrees, of a whole turn, at 20 dB; the seed draws the noise."""
     whole, peak = _object_echo(name)
     rng = np.random.default_rng([FIRST_SEED + seed, 71])
-    noise = peak * 10 ** (-snr_db / 20) * rng.standard_normal(whole.samples.shape)
+    noise = peak * 10 ** (-20.0 / 20) * rng.standard_normal(whole.samples.shape)
     capture = replace(whole, samples=(whole.samples + noise).astype(np.float32))
     chosen = capture.select(np.asarray(angles_deg, dtype=np.intp))
     thing = OBJECTS[name]

@@ -43,12 +43,9 @@ class Recording(NamedTuple):
         return f"{self.views} views, {self.snr_db:.0f} dB"
 
 
-RECORDINGS = tuple(
-    Recording(*how)
-    for how in (
-        *((36, 20), (36, 10), (18, 20), (18, 10), (24, 20)),
-        *((72, 20), (72, 10), (12, 20), (36, 5), (36, 0)),
-    )
+RECORDINGS = (
+    *(Recording(*how) for how in ((36, 20), (36, 10), (18, 20), (18, 10), (24, 20))),
+    *(Recording(*how) for how in ((72, 20), (72, 10), (12, 20), (36, 5), (36, 0))),
 )
 """Recordings of every object."""
 
