@@ -7,10 +7,12 @@ same dataset, and what was made is never made again.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +21,11 @@ from tagid import processes
 from tagid.capture import Capture
 from tagid.errors import StorageError, UsageError
 from tagid.files import make_folder, read_bytes, replacing, write_bytes
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.imaging.types import BasebandScans
 from train.distributions import Distribution
 from train.planes import GRID, NetworkInput
 from train.scenes import draw_scene
@@ -37,8 +40,7 @@ SCENES, ATS_EVERY = 6000, 4
 _SIZE = "dataset.json"
 
 
-@dataclass(frozen=True)
-class ImageOf:
+class ImageOf(NamedTuple):
     """One image of a dataset: the seed of its scene, and the imaging method."""
 
     seed: int
@@ -47,41 +49,31 @@ class ImageOf:
 
 @dataclass(frozen=True)
 class DatasetPlan:
-    """Which scenes a dataset holds.
-
-    Attributes:
-        split: "train", "validation" or "test".
-        scenes: how many.
-        ats_every: every so many-th scene is imaged by ATS too; 0 for none.
-    """
+    """Scenes of a split, of which every so many-th is imaged by ATS too; 0 for none."""
 
     split: str
     scenes: int
-    ats_every: int = 4
+    ats_every: int = ATS_EVERY
 
     def __post_init__(self) -> None:
-        if self.split not in SEED_BASES:
-            raise UsageError(f"split {self.split!r} is unknown", f"Use {', '.join(SEED_BASES)}.")
         if not 1 <= self.scenes < 10_000_000 or self.ats_every < 0:
             raise UsageError(f"{self.scenes} scenes, ATS every {self.ats_every}", "Give positive numbers.")
 
-    @property
-    def shards(self) -> int:
-        return -(-self.scenes // SHARD)
-
-    def images(self, shard: int) -> list[ImageOf]:
-        cells = []
-        for i in range(shard * SHARD, min((shard + 1) * SHARD, self.scenes)):
-            seed = SEED_BASES[self.split] + i
-            cells.append(ImageOf(seed, METHODS[0]))
-            if self.ats_every and i % self.ats_every == 0:
-                cells.append(ImageOf(seed, METHODS[1]))
-        return cells
+    def shards(self, folder: Path) -> dict[Path, list[ImageOf]]:
+        """The file of every shard, and its images."""
+        shards = {}
+        for number, first in enumerate(range(0, self.scenes, SHARD)):
+            images = []
+            for i in range(first, min(first + SHARD, self.scenes)):
+                methods = METHODS if self.ats_every and i % self.ats_every == 0 else METHODS[:1]
+                images += [ImageOf(SEED_BASES[self.split] + i, method) for method in methods]
+            shards[folder / self.split / f"{number:04d}-{len(images)}.npz"] = images
+        return shards
 
 
 @dataclass(frozen=True)
 class Size:
-    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` of `DatasetPlan`."""
+    """Size of a dataset, which its folder remembers: `scenes` and `ats_every` of the split to train on."""
 
     scenes: int = SCENES
     ats_every: int = ATS_EVERY
@@ -92,33 +84,23 @@ class Size:
         write_bytes(work / _SIZE, (json.dumps(asdict(self)) + "\n").encode())
 
     @classmethod
-    def of(cls, work: Path, scenes: int | None, ats_every: int | None) -> Size:
-        """What is given, and else that of the dataset in the folder. Raises StorageError."""
-        stored = cls()
-        if not work.is_dir():
-            raise StorageError(f"{work} holds no dataset", "Make one with `python -m train dataset`.")
-        if (work / _SIZE).exists():
-            try:
-                stored = cls(**json.loads(read_bytes(work / _SIZE)))
-            except (ValueError, TypeError) as error:
-                raise StorageError(f"{work / _SIZE}: {error}", "Make the dataset again.") from error
-        return cls(
-            stored.scenes if scenes is None else scenes,
-            stored.ats_every if ats_every is None else ats_every,
-        )
+    def of(cls, work: Path) -> Size:
+        """That of the dataset in the folder. Raises StorageError."""
+        try:
+            return cls(**json.loads(read_bytes(work / _SIZE)))
+        except (StorageError, ValueError, TypeError) as error:
+            raise StorageError(
+                f"{work} holds no dataset: {error}", "Make one with `python -m train dataset`."
+            ) from error
 
+    def plans(self) -> dict[str, DatasetPlan]:
+        """The scenes to train on, a tenth as many to validate on, as many again to test on.
 
-def plans(scenes: int, ats_every: int = 4) -> dict[str, DatasetPlan]:
-    """The three splits: the scenes to train on, a tenth as many to validate on, as many again to test on.
-
-    In one place, so that no command can take a scene for testing that another has trained on.
-    """
-    few = max(1, scenes // 10)
-    return {
-        "train": DatasetPlan("train", scenes, ats_every),
-        "validation": DatasetPlan("validation", few, ats_every),
-        "test": DatasetPlan("test", few, ats_every),
-    }
+        In one place, so that no command can take a scene for testing that another has trained on.
+        """
+        few = max(1, self.scenes // 10)
+        counts = {"train": self.scenes, "validation": few, "test": few}
+        return {split: DatasetPlan(split, count, self.ats_every) for split, count in counts.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,34 +126,26 @@ class Samples:
     def __len__(self) -> int:
         return len(self.relative)
 
-    def part(self, keep: NDArray[np.bool_] | slice) -> Samples:
-        return Samples(**{name: value[keep] for name, value in vars(self).items()})
-
-
-def focused_scans(capture: Capture, method: str) -> BasebandScans:
-    """Preprocessed scans under the axis distance that focuses them, as in `tagid.pipeline.reconstruct`."""
-    settings = PreprocessSettings(matched_filter=False, extent_m=GRID.extent)
-    focused, _ = focus_axis_distance(preprocess(capture, settings=settings), GRID)
-    if method != "bp":
-        return focused
-    matched = preprocess(capture, settings=replace(settings, matched_filter=True))
-    return matched.with_aperture(focused.aperture)
+    @classmethod
+    def joined(cls, parts: Iterable[Samples]) -> Samples:
+        """All of some samples."""
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
 
 
 def network_input(capture: Capture, method: str, seed: int = 0) -> NetworkInput:
-    """The network's input for one capture and method, "bp" or "ats"."""
-    if method not in METHODS:
-        raise UsageError(f"the detector is not trained on {method!r}", f"Use {' or '.join(METHODS)}.")
-    scans = focused_scans(capture, method)
-    if method == "bp":
-        return NetworkInput.of(backproject(scans, GRID), scans)
-    from tagid.imaging.ats.fit import fit
-    from tagid.imaging.ats.settings import AtsSettings
-
-    return NetworkInput.of(fit(scans, GRID, AtsSettings(seed=seed)).image, scans)
+    """The network's input: "bp" or "ats" under the axis distance that focuses, as `tagid reconstruct`."""
+    settings = PreprocessSettings(matched_filter=False, extent_m=GRID.extent)
+    scans, _ = focus_axis_distance(preprocess(capture, settings=settings), GRID)
+    if method == "ats":
+        return NetworkInput.of(fit(scans, GRID, AtsSettings(seed=seed)).image, scans)
+    matched = preprocess(capture, settings=replace(settings, matched_filter=True))
+    scans = matched.with_aperture(scans.aperture)
+    return NetworkInput.of(backproject(scans, GRID), scans)
 
 
-def _sample(image: ImageOf, distribution: Distribution) -> Samples:
+def sample(image: ImageOf, distribution: Distribution) -> Samples:
+    """One image with its truth."""
     scene = draw_scene(image.seed, distribution)
     seen = network_input(scene.capture, image.method, image.seed % 1000)
     reflectors = np.full((1, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
@@ -190,25 +164,11 @@ def _sample(image: ImageOf, distribution: Distribution) -> Samples:
     )
 
 
-Map = Callable[[Callable[[ImageOf], Samples], Iterable[ImageOf]], Iterable[Samples]]
-"""Maps a function over images in order, as `map` does, perhaps in several processes."""
-
-
-def make_shard(images: list[ImageOf], distribution: Distribution, mapped: Map = map) -> Samples:
-    """The images of one shard with their truths."""
-    return _joined(list(mapped(partial(_sample, distribution=distribution), images)))
-
-
-def _joined(parts: list[Samples]) -> Samples:
-    names = Samples.__dataclass_fields__
-    return Samples(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-
 def build(
     folder: Path,
     plan: DatasetPlan,
     jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
     """Make the shards that are not there yet; `progress` is called with (images made, images).
 
@@ -225,42 +185,29 @@ def build(
         about.write_text(json.dumps(settings) + "\n")
     except (OSError, ValueError) as error:
         raise StorageError(f"{about}: {error}", "Choose a folder that can be written.") from error
-    shards = [plan.images(shard) for shard in range(plan.shards)]
-    paths = [about.parent / f"{shard:04d}-{len(images)}.npz" for shard, images in enumerate(shards)]
-    total = sum(map(len, shards))
-    done = sum(len(images) for images, path in zip(shards, paths, strict=True) if path.exists())
-    if progress:
-        progress(done, total)
+    shards = plan.shards(folder)
+    missing = {path: images for path, images in shards.items() if not path.exists()}
+    waiting = [image for images in missing.values() for image in images]
+    total = sum(map(len, shards.values()))
+    progress(total - len(waiting), total)
     with processes.spawn_context().Pool(jobs) as pool:
-
-        def counted(function: Callable[[ImageOf], Samples], images: Iterable[ImageOf]) -> Iterator[Samples]:
-            nonlocal done
-            for sample in pool.imap(function, images):
-                done += 1
-                if progress:
-                    progress(done, total)
-                yield sample
-
-        for images, path in zip(shards, paths, strict=True):
-            if not path.exists():
-                made = make_shard(images, dist, counted)
-                with replacing(path) as file:
-                    np.savez(file, **vars(made))
+        samples = enumerate(pool.imap(partial(sample, distribution=dist), waiting), total - len(waiting) + 1)
+        for path, images in missing.items():
+            parts = []
+            for done, made in islice(samples, len(images)):
+                parts.append(made)
+                progress(done, total)
+            with replacing(path) as file:
+                np.savez(file, **vars(Samples.joined(parts)))
 
 
 def load(folder: Path, plan: DatasetPlan) -> Samples:
-    """All samples of a plan, in order.
-
-    Raises StorageError if a shard is missing or damaged.
-    """
-
-    def shards() -> Iterator[Samples]:
-        for shard in range(plan.shards):
-            path = folder / plan.split / f"{shard:04d}-{len(plan.images(shard))}.npz"
-            try:
-                with np.load(path, allow_pickle=False) as file:
-                    yield Samples(**{name: file[name] for name in Samples.__dataclass_fields__})
-            except (OSError, ValueError, KeyError) as error:
-                raise StorageError(f"{path}: {error}", "Make it with `python -m train dataset`.") from error
-
-    return _joined(list(shards()))
+    """All samples of a plan, in order. Raises StorageError if a shard is missing or damaged."""
+    parts = []
+    for path in plan.shards(folder):
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                parts.append(Samples(**{name: file[name] for name in Samples.__dataclass_fields__}))
+        except (OSError, ValueError, KeyError) as error:
+            raise StorageError(f"{path}: {error}", "Make it with `python -m train dataset`.") from error
+    return Samples.joined(parts)

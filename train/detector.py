@@ -142,18 +142,13 @@ def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
     return np.asarray(1 / (1 + np.exp(-np.clip(np.asarray(logit, dtype=np.float64), -60, 60))))
 
 
-def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
-    """(row, column) of the local maxima of the reflector logit in cells (5, 48, 48), strongest first."""
-    logit = cells[0]
-    rows, columns = np.nonzero(logit >= maximum_filter(logit, 3))
-    order = np.argsort(-logit[rows, columns])[: 4 * _MOST]
-    return [(int(rows[i]), int(columns[i])) for i in order]
-
-
 def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -> list[Detection]:
     """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
+    logits = cells[0]
+    rows, columns = np.nonzero(logits >= maximum_filter(logits, 3))
+    order = np.argsort(-logits[rows, columns])[: 4 * _MOST]
     detections: list[Detection] = []
-    for row, column in candidates(cells):
+    for row, column in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
         score, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
         x = (column + min(max(dx, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         y = (row + min(max(dy, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
@@ -176,33 +171,23 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
 
 
 class Detector:
-    """The network with its contract.
-
-    Attributes:
-        contract: as read from the file.
-        sha256: of the file, for the record of an answer.
-    """
+    """The network with its contract, as read from the file."""
 
     def __init__(self, model: Model) -> None:
         """Of an opened model. Raises ModelError if its contract is another one."""
         self._model = model
         self.contract = Contract.from_text(model.metadata.get(CONTRACT_KEY, ""), f"model {model.entry.name}")
-        self.sha256 = model.entry.sha256
 
     @classmethod
     def shipped(cls) -> Detector:
         """The one that came with the package. Raises ModelError or StorageError as `open_model` does."""
         return cls(open_model(MODEL, folder=FOLDER))
 
-    def run(self, seen: NetworkInput) -> tuple[NDArray[np.float32], float]:
-        """The network's cells (5, 48, 48) and the presence logit of one image."""
-        out = self._model.run({"planes": seen.planes()[None]})
-        return np.asarray(out["cells"])[0], float(out["present"][0])
-
     def detect(self, seen: NetworkInput) -> Detections:
         """Reflectors of an image, at the threshold for one in a hundred images without any."""
-        cells, present = self.run(seen)
+        out = self._model.run({"planes": seen.planes()[None]})
         threshold = self.contract.threshold(PFA)
-        detections = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
-        there = self.contract.present_slope * present + self.contract.present_intercept
-        return Detections(float(sigmoid(there)), detections, threshold)
+        every = decode(np.asarray(out["cells"])[0], seen, self.contract)
+        logit = self.contract.present_slope * float(out["present"][0]) + self.contract.present_intercept
+        detections = tuple(d for d in every if d.probability >= threshold)
+        return Detections(float(sigmoid(logit)), detections, threshold)

@@ -18,16 +18,20 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 from torch.optim import AdamW, Optimizer
-from torch.optim.lr_scheduler import LRScheduler
+from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
 from tagid import processes
 from tagid.errors import StorageError
 from tagid.files import read_bytes, write_bytes
 from train.dataset import Samples
 from train.network import DetectorNetwork
-from train.targets import Batch, loss, make_batch
+from train.targets import Arrays, Batch, batch_arrays, loss
 
 Parts = dict[str, nn.Module | Optimizer | LRScheduler]
+Draw = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""A batch that is to be made: the samples' indexes and the symmetry of each, 0 to 7."""
+RATE, DECAY = 4e-3, 1e-4
+"""Peak of the one-cycle learning rate of Adam, and weight decay."""
 
 
 @dataclass(frozen=True)
@@ -36,41 +40,25 @@ class FitSettings:
 
     Attributes:
         epochs, batch: passes over the data, samples a step.
-        rate: peak of the one-cycle learning rate of Adam.
-        decay: weight decay.
         seed: of weights, order and symmetries.
         threads: of torch; sums depend on it in the last digits.
         device: of torch, "cpu" or "cuda"; sums depend on it in the last digits.
-        hidden: planes of the input that are shown as zeros, to measure what they are worth.
     """
 
     epochs: int = 10
     batch: int = 32
-    rate: float = 4e-3
-    decay: float = 1e-4
     seed: int = 0
     threads: int = 2
     device: str = "cpu"
-    hidden: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """What an epoch came to: mean losses, and how many epochs there are."""
-
-    number: int
-    epochs: int
-    training: float
-    validation: float
 
 
 def fit(
     training: Samples,
     validation: Samples,
     checkpoint: Path,
-    settings: FitSettings | None = None,
-    progress: Callable[[int, int, float], None] | None = None,
-    report: Callable[[Epoch], None] | None = None,
+    settings: FitSettings,
+    progress: Callable[[int, int], None] = lambda step, steps: None,
+    report: Callable[[int, float, float], None] = lambda epoch, training, validation: None,
     jobs: int = 1,
 ) -> DetectorNetwork:
     """Train, or finish training.
@@ -79,42 +67,34 @@ def fit(
         training, validation: samples.
         checkpoint: file with the state after the last whole epoch.
         settings: see there; those of the checkpoint must agree.
-        progress: called with (step, steps, loss).
-        report: called after every epoch.
+        progress: called with (step, steps).
+        report: called after every epoch with its number and the mean losses.
         jobs: processes that prepare batches; the weights do not depend on them.
 
     Raises StorageError if the checkpoint is damaged or of other settings.
     """
-    s = settings or FitSettings()
+    s = settings
     torch.set_num_threads(s.threads)
     torch.manual_seed(s.seed)
     # On a GPU some gradients have no deterministic kernel: the weights then differ in the last digits.
     torch.use_deterministic_algorithms(True, warn_only=s.device != "cpu")
     network = DetectorNetwork()
     network.to(s.device)
-    optimiser = AdamW(network.parameters(), lr=s.rate, weight_decay=s.decay)
+    optimiser = AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
     size = min(s.batch, len(training))
-    steps = s.epochs * (len(training) // size)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, s.rate, total_steps=max(1, steps), pct_start=0.2
-    )
+    count = len(training) // size
+    schedule = OneCycleLR(optimiser, RATE, total_steps=max(1, s.epochs * count), pct_start=0.2)
     parts: Parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
     identity = {**asdict(s), "samples": len(training)}
-    first = _resume(checkpoint, parts, identity)
     with _batches(training, jobs) as batches:
-        for epoch in range(first, s.epochs):
+        for epoch in range(_resume(checkpoint, parts, identity), s.epochs):
             rng = np.random.default_rng((s.seed, epoch))
-            order = rng.permutation(len(training))
+            order = rng.permutation(len(training))[: count * size].reshape(count, size)
             network.train()
             total = 0.0
-            count = len(training) // size
-            draws = [
-                Draw(order[step * size : (step + 1) * size], rng.integers(0, 8, size))
-                for step in range(count)
-            ]
-            for step, made in enumerate(batches(draws)):
-                batch = made.to(s.device)
-                batch.planes[:, list(s.hidden)] = 0
+            draws = [(which, rng.integers(0, 8, size)) for which in order]
+            for step, arrays in enumerate(batches(draws), epoch * count + 1):
+                batch = Batch.of(arrays, s.device)
                 cells, present = network(batch.planes)
                 value = loss(cells, present, batch)
                 optimiser.zero_grad()
@@ -123,26 +103,12 @@ def fit(
                 optimiser.step()
                 schedule.step()
                 total += float(value.detach())
-                if progress:
-                    progress(epoch * count + step + 1, steps, float(value.detach()))
+                progress(step, s.epochs * count)
             _save(checkpoint, parts, identity, epoch + 1)
-            if report:
-                report(
-                    Epoch(
-                        epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation, s.hidden)
-                    )
-                )
+            report(epoch + 1, total / count, mean_loss(network, validation))
     network.to("cpu")
     network.eval()
     return network
-
-
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """A batch that is to be made: the samples' indexes and the symmetry of each, 0 to 7."""
-
-    which: NDArray[np.intp]
-    symmetries: NDArray[np.intp]
 
 
 _samples: Samples | None = None
@@ -154,34 +120,37 @@ def _receive(samples: Samples) -> None:
     torch.set_num_threads(1)
 
 
-def _arrays(draw: Draw) -> tuple[NDArray[np.float32], ...]:
+def _arrays(draw: Draw) -> Arrays:
     assert _samples is not None
-    return make_batch(_samples, draw.which, draw.symmetries).arrays()
+    return batch_arrays(_samples, *draw)
 
 
 @contextmanager
-def _batches(training: Samples, jobs: int) -> Iterator[Callable[[list[Draw]], Iterator[Batch]]]:
+def _batches(training: Samples, jobs: int) -> Iterator[Callable[[list[Draw]], Iterator[Arrays]]]:
     """A function from draws to their batches in order, prepared ahead by so many processes."""
     if jobs < 2:
-        yield lambda draws: (make_batch(training, d.which, d.symmetries) for d in draws)
+        yield lambda draws: (batch_arrays(training, *draw) for draw in draws)
         return
     with processes.spawn_context().Pool(jobs, _receive, (training,)) as pool:
-        yield lambda draws: map(Batch.of, pool.imap(_arrays, draws))
+        yield lambda draws: pool.imap(_arrays, draws)
 
 
-def mean_loss(network: DetectorNetwork, samples: Samples, hidden: tuple[int, ...]) -> float:
+def few_at_a_time(samples: Samples) -> Iterator[NDArray[np.intp]]:
+    """The indexes of all samples, as many at once as fit into memory."""
+    yield from np.split(np.arange(len(samples)), range(64, len(samples), 64))
+
+
+def mean_loss(network: DetectorNetwork, samples: Samples) -> float:
     """Loss of a network that is not training."""
     network.eval()
     device = next(network.parameters()).device
     total = 0.0
     with torch.no_grad():
-        for start in range(0, len(samples), 64):
-            which = np.arange(start, min(start + 64, len(samples)))
-            made = make_batch(samples, which).to(device)
-            made.planes[:, list(hidden)] = 0
-            cells, present = network(made.planes)
-            total += float(loss(cells, present, made)) * len(which)
-    return total / max(1, len(samples))
+        for which in few_at_a_time(samples):
+            batch = Batch.of(batch_arrays(samples, which), device)
+            cells, present = network(batch.planes)
+            total += float(loss(cells, present, batch)) * len(which)
+    return total / len(samples)
 
 
 def _save(path: Path, parts: Parts, identity: dict[str, object], epoch: int) -> None:

@@ -29,16 +29,6 @@ NORMALISATION = {
 """What `NetworkInput.planes` does, as the model file describes it; another description is rejected."""
 
 
-def image_snr_db(scans: BasebandScans, peak: float) -> float:
-    """Power of a pixel of that magnitude over that of the noise in a backprojection of the scans, dB.
-
-    60 dB, the largest distinguishable ratio, if the noise is not known.
-    """
-    if scans.noise_std <= 0 or peak <= 0:
-        return _FULL_SNR_DB
-    return float(20 * np.log10(peak * np.sqrt(scans.aperture.views) / scans.noise_std))
-
-
 @dataclass(frozen=True, eq=False)
 class NetworkInput:
     """One image as the network is given it.
@@ -46,7 +36,8 @@ class NetworkInput:
     Attributes:
         relative: (96, 96) complex64, the image over its brightest pixel.
         peak: the value of that pixel, in the image's units.
-        snr_db: see `image_snr_db`.
+        snr_db: power of that pixel over that of the noise in a backprojection of the scans, dB; 60, the
+            largest distinguishable ratio, if the noise is not known.
         views: number of views it was made from.
     """
 
@@ -69,7 +60,10 @@ class NetworkInput:
         values = np.nan_to_num(image.values.astype(np.complex64))
         peak = complex(values.flat[int(np.argmax(np.abs(values)))])
         relative = values / np.complex64(peak) if peak else values
-        return cls(relative, peak, image_snr_db(scans, abs(peak)), scans.aperture.views)
+        views, snr_db = scans.aperture.views, _FULL_SNR_DB
+        if scans.noise_std > 0 and peak:
+            snr_db = float(20 * np.log10(abs(peak) * np.sqrt(views) / scans.noise_std))
+        return cls(relative, peak, snr_db, views)
 
     def value_at(self, x_m: float, y_m: float) -> complex:
         """Relative value of the pixel nearest to a position, m; of the edge for one outside."""

@@ -1,4 +1,4 @@
-"""Objects without an enrolled tag, and tagged ones, for calibrating the reader and for measuring it.
+"""Objects without an enrolled tag, for calibrating the reader and for measuring it.
 
 The scenes are not drawn from the reader's model: walls are rough and oval, creeping waves, handles, rims and
 contents move with the body, reflectors bounce at the wall, and differ from one another.
@@ -56,10 +56,6 @@ class Specimen:
     snr_db: float
 
     @property
-    def reflectors(self) -> int:
-        return len(self.positions)
-
-    @property
     def is_enrolled_pair(self) -> bool:
         """Whether it is an enrolled pair without a body, though it was drawn as a foreign one."""
         return self.truth is None and self.body == "none" and has_enrolled_spacing(self.positions)
@@ -92,24 +88,13 @@ class _Antenna:
         return self.wave(np.abs(self.place - at), weight)
 
 
-def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: float | None = None) -> Specimen:
-    """The specimen of a seed: foreign or untagged unless `tagged`, which gives a built-in layout.
-
-    Views and SNR are drawn, too, unless given.
-    """
-    rng = np.random.default_rng([seed, 7 if tagged else 3])
+def draw(seed: int, views: int | None = None, snr_db: float | None = None) -> Specimen:
+    """The foreign or untagged specimen of a seed; views and SNR are drawn, too, unless given."""
+    rng = np.random.default_rng([seed, 3])
     drawn, level = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
     views, snr = views or drawn, level if snr_db is None else snr_db
-    body = str(rng.choice(("none", "can") if tagged else BODIES))
-    clutter = "" if tagged else str(rng.choice(CLUTTER))
-    truth: str | None = None
-    if tagged:
-        names = list(builtin_layouts()) if body == "none" else ["container-90", "container-180"]
-        truth = str(rng.choice(names))
-        layout = builtin_layouts()[truth]
-        positions = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    else:
-        positions = foreign(rng, body)
+    body, clutter = str(rng.choice(BODIES)), str(rng.choice(CLUTTER))
+    positions = foreign(rng, body)
     radius = _wall(rng, body, positions)
     distance = rng.uniform(0.8, 1.2)
     angles = np.arange(views) * 2 * np.pi / views
@@ -136,7 +121,7 @@ def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: floa
         angles_rad=angles,
         axis_distance_m=distance + error,
     )
-    return Specimen(capture, truth, body, clutter, positions, views, snr)
+    return Specimen(capture, None, body, clutter, positions, views, snr)
 
 
 def difference_deg(gaps: NDArray[np.floating], other: NDArray[np.floating]) -> float:
@@ -155,7 +140,7 @@ def foreign(rng: np.random.Generator, body: str) -> NDArray[np.complex128]:
     """Places of 0 to 5 alike reflectors in no enrolled arrangement, m."""
     count = int(rng.choice([0, 1, 2, 2, 2, 3, 3, 4, 5]))
     radius = rng.uniform(0.035, 0.07) if body in ("can", "handle", "oval") else rng.uniform(0.035, 0.125)
-    if body in ("shell",):
+    if body == "shell":
         radius = rng.uniform(0.085, 0.125)
     least = 0.035 / radius
     while True:
@@ -233,9 +218,8 @@ def _metal_box(
 
 def _body(rng: np.random.Generator, antenna: _Antenna, body: str, radius: float) -> NDArray[np.complex128]:
     """(F, V) echo of the body: specular wall, creeping wave, and what is not round."""
-    none = np.zeros((len(antenna.kappa), len(antenna.place)), dtype=np.complex128)
     if body == "none":
-        return none
+        return np.zeros((len(antenna.kappa), len(antenna.place)), dtype=np.complex128)
     rho, side = np.abs(antenna.place), np.angle(antenna.place)
     level = float(np.exp(rng.uniform(np.log(0.5), np.log(12.0))))
     if body == "shell":

@@ -47,14 +47,13 @@ class TrainingScene:
         capture: as a file would hold it.
         reflectors_m: (K, 2) true reflectors at angle zero, m.
         ghosts: what else echoes.
-        snr_db, views: of the recording; the SNR is per reflector.
+        snr_db: of the recording, per reflector.
     """
 
     capture: Capture
     reflectors_m: NDArray[np.float64]
     ghosts: tuple[Ghost, ...]
     snr_db: float
-    views: int
 
 
 def draw_pulse(d: PulseDistribution, rng: np.random.Generator) -> Pulse | None:
@@ -236,7 +235,6 @@ def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingS
         truth.positions_m if len(reflectors) else np.zeros((0, 2)),
         tuple(Ghost(acquisition.placement.apply(g.centre_m[None])[0], g.radius_m) for g in drawing.ghosts),
         float(acquisition.snr_db or 0.0),
-        acquisition.views,
     )
 
 

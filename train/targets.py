@@ -6,8 +6,8 @@ Points", 2019): a focal loss that spares the neighbours of a hit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -25,8 +25,10 @@ GHOST_WIDTH = 1.0
 """Cells within this distance of a ghost's ring are ghost cells."""
 
 
-@dataclass(frozen=True)
-class Batch:
+Arrays = tuple[NDArray[np.float32], ...]
+
+
+class Batch(NamedTuple):
     """Tensors of n samples: planes (n, 5, 96, 96); heat, ghost, near (n, 48, 48); offset (n, 2, 48, 48)."""
 
     planes: Tensor
@@ -37,21 +39,14 @@ class Batch:
     present: Tensor
 
     @classmethod
-    def of(cls, arrays: tuple[NDArray[np.float32], ...]) -> Self:
-        """From arrays in the order of the attributes."""
-        return cls(*(torch.from_numpy(v) for v in arrays))
-
-    def arrays(self) -> tuple[NDArray[np.float32], ...]:
-        """In the order of the attributes, to travel between processes."""
-        return tuple(value.numpy() for value in vars(self).values())
-
-    def to(self, device: torch.device | str) -> Self:
-        return type(self)(*(value.to(device) for value in vars(self).values()))
+    def of(cls, arrays: Arrays, device: torch.device | str = "cpu") -> Batch:
+        """Arrays in the order of the attributes on a device of torch."""
+        return cls(*(torch.from_numpy(values).to(device) for values in arrays))
 
 
 def symmetry(
-    values: NDArray[np.floating], points: NDArray[np.floating], which: int
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    values: NDArray[Any], points: NDArray[np.floating], which: int
+) -> tuple[NDArray[Any], NDArray[np.floating]]:
     """One of the eight turns and mirrors of the square for planes (..., y, x) and points (..., 2 or 3)."""
     points = points.copy()
     if which & 4:
@@ -64,28 +59,29 @@ def symmetry(
     return values, points
 
 
-def make_batch(
+def batch_arrays(
     samples: Samples, which: NDArray[np.intp], symmetries: NDArray[np.intp] | None = None
-) -> Batch:
-    """The samples of some indexes, each turned by one of the eight symmetries where they are given."""
+) -> Arrays:
+    """The samples of some indexes as `Batch` has them, each turned by one of eight symmetries if given."""
     planes, rows = [], []
     for n, i in enumerate(which):
         turn = 0 if symmetries is None else int(symmetries[n])
-        picture = samples.relative[i].astype(np.float32)
-        reflectors, ghosts = samples.reflectors[i], samples.ghosts[i]
-        moved, reflectors = symmetry(picture, reflectors, turn)
-        _, ghosts = symmetry(picture, ghosts, turn)
-        relative = (moved[0] + 1j * moved[1]).astype(np.complex64)
-        planes.append(NetworkInput(relative, 1.0, float(samples.snr_db[i]), int(samples.views[i])).planes())
+        seen = network_input(samples, i)
+        relative, reflectors = symmetry(seen.relative, samples.reflectors[i], turn)
+        _, ghosts = symmetry(seen.relative, samples.ghosts[i], turn)
+        whole = relative.copy(order="K")  # of a turned view, magnitudes differ in the last digit
+        planes.append(replace(seen, relative=whole).planes())
         rows.append(cell_targets(reflectors, ghosts))
-    heat, ghost, near, offset = (np.stack([row[k] for row in rows]) for k in range(4))
     present = np.isfinite(samples.reflectors[which][:, 0, 0])
-    return Batch.of(
-        tuple(
-            np.ascontiguousarray(v, dtype=np.float32)
-            for v in (np.stack(planes), heat, ghost, near, offset, present)
-        )
-    )
+    parts = (np.stack(planes), *map(np.stack, zip(*rows, strict=True)), present)
+    return tuple(np.ascontiguousarray(part, dtype=np.float32) for part in parts)
+
+
+def network_input(samples: Samples, i: int) -> NetworkInput:
+    """One sample as the network sees it."""
+    real, imaginary = samples.relative[i].astype(np.float32)
+    relative = (real + 1j * imaginary).astype(np.complex64)
+    return NetworkInput(relative, 1.0, float(samples.snr_db[i]), int(samples.views[i]))
 
 
 def cell_targets(

@@ -21,7 +21,6 @@ RESULTS = ROOT / "docs" / "results"
 
 
 def listing() -> str:
-    """A line for every benchmark: name, minutes of one core, what it measures, what it needs."""
     lines = []
     for benchmark in BENCHMARKS.values():
         needs = f" (needs {', '.join(benchmark.needs)})" if benchmark.needs else ""
@@ -30,7 +29,6 @@ def listing() -> str:
 
 
 def parser_of(benchmark: Benchmark) -> argparse.ArgumentParser:
-    """The options of every benchmark, and those of this one."""
     parser = argparse.ArgumentParser(
         prog=f"python -m tests.benchmarks {benchmark.name}",
         description=f"{benchmark.summary}. About {benchmark.minutes} minutes of one core.",
@@ -79,7 +77,6 @@ def main() -> int:
 
 
 def run(benchmark: Benchmark, words: list[str], folder: Path) -> int:
-    """One benchmark with its options."""
     from tests.benchmarks import tables
     from tests.benchmarks.run import Run
 

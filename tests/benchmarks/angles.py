@@ -76,7 +76,7 @@ def scan_with(
     )
     capture = record(radar, motion, plan, path, Watch(resolve=with_angles))
     path.unlink()
-    assert capture.views <= len(log) and capture.scan_id is not None
+    assert capture.views <= len(log)
     first = capture.scan_id - capture.scan_id[0]
     return capture, np.array(log)[first]
 
@@ -109,7 +109,6 @@ def roomba(folder: Path, wire: str, number: int, turns: float) -> Errors:
                 return host.core.body.heading_at(moment)
 
         first, (capture, true) = (scan_with(url, truth, turns, 10 * number + run, folder) for run in range(2))
-    assert capture.angles_rad is not None
     bare = capture.angles_rad / float(capture.motion.resolved.scale)
     before = float(first[0].motion.resolved.scale)
     return [
@@ -141,7 +140,6 @@ def table(folder: Path, kind: str, number: int, turns: float) -> Errors:
         capture, true = scan_with(
             url, lambda moment: float(plate.state(moment)["angle_rad"]), turns, number, folder
         )
-    assert capture.angles_rad is not None
     resolved, inside = capture.motion.resolved, slice(None)
     if kind == "index pulse":
         moving = np.abs(capture.angles_rad - capture.angles_rad[0])
@@ -169,7 +167,6 @@ def pulses(board: BoardProcess, plate: TurningTable) -> None:
 
 
 def first_angles(run: Run) -> Iterator[Table]:
-    """Seconds from the command to the first angle."""
     starts, rows = run.number(10, 2), []
     for wire in ("cable", "bridge"):
         with ExitStack() as stack:
@@ -183,7 +180,7 @@ def first_angles(run: Run) -> Iterator[Table]:
                 motion = open_motion(url)
                 motion.start()
                 motion.stop()
-                seconds.append(motion.first_angle_s)  # type: ignore[attr-defined]
+                seconds.append(motion.first_angle_s)
         rows.append((f"by {wire}", starts, f"{np.median(seconds):.2f}", f"{max(seconds):.2f}"))
     yield Table("robot | starts | seconds from the command to the first angle, median | longest", rows)
 
@@ -194,7 +191,7 @@ def identification(run: Run) -> Iterator[Table]:
     run.seeds = f"{seeds} per layout"
     for how in ("turntable, period from the scans", "Roomba, not calibrated"):
         names = [
-            (layout.name, read_once(layout.name, how.startswith("Roomba"), seed, 10.0))
+            (layout.name, read_once(layout.name, how.startswith("Roomba"), seed))
             for layout in LAYOUTS
             for seed in range(seeds)
         ]
@@ -204,21 +201,19 @@ def identification(run: Run) -> Iterator[Table]:
     yield Table("turned by | scenes | named rightly (%) | named wrongly", rows, "360 scans a turn, 10 dB.")
 
 
-def read_once(name: str, robot: bool, seed: int, snr_db: float) -> str | None:
-    """One scene in simulated time; what it is named."""
+def read_once(name: str, robot: bool, seed: int) -> str | None:
+    """One scene in simulated time, at 10 dB; what it is named."""
     base, slip = FLOORS[seed % len(FLOORS)]
     rng = np.random.default_rng(seed)
     body = Body(BodySettings(base, slip, slip_noise=0.002, encoder_noise=0.5, seed=seed))
-    nominal = step_period_s(2)
-    speed = 2 * 28.5
-    period = nominal * base / 235 / (1 - slip)
-    step = period / 360
+    period = step_period_s(2) * base / 235 / (1 - slip)
     readings: list[tuple[int, float, float]] = []
-    truth: list[float] = []
+    # The truth at hand, then the time asked for: a scene turned by either.
+    known: dict[float, float] = {}
     odometry = SpinOdometry(1)
     if robot:
-        body.drive(speed, -speed)
-    times = np.arange(0, 1.45 * period, step)
+        body.drive(57.0, -57.0)
+    times = np.arange(0, 1.45 * period, period / 360)
     frame = 0.0
     for moment in times:
         while frame <= moment:
@@ -229,13 +224,9 @@ def read_once(name: str, robot: bool, seed: int, snr_db: float) -> str | None:
             readings.append((arrival, odometry.angle_rad, odometry.sigma_rad))
             frame += 0.015
         body.advance(moment)
-        truth.append(body.heading_rad if robot else 2 * np.pi * moment / period)
-    # The truth at hand, then the time asked for: a scene turned by either.
-    known = dict(zip(times.tolist(), truth, strict=True))
-    acquisition = Acquisition(axis_distance_m=AXIS_M, snr_db=snr_db)
-    scene = TurningScene(
-        scene_from_name(name, seed), 0, seed, acquisition, true_angle=lambda moment: known[moment]
-    )
+        known[float(moment)] = body.heading_rad if robot else 2 * np.pi * moment / period
+    acquisition = Acquisition(axis_distance_m=AXIS_M, snr_db=10.0)
+    scene = TurningScene(scene_from_name(name, seed), 0, seed, acquisition, true_angle=known.__getitem__)
     scene.follow(lambda moment: moment)
     config = plan_window(AXIS_M, 0.5, 0.0, RadarConfig())
     samples = np.stack([scene.scan(i, float(moment), config) for i, moment in enumerate(times)])

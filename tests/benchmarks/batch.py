@@ -53,7 +53,6 @@ Runner = Callable[[Tasks, Job], Results]
 
 
 def job() -> Job:
-    """What is done with every item."""
     enrolled = RegistryContents(1, list(builtin_layouts().values()), [])
     return Job(ReadingSetup(LoadSettings.of(load_config()), ImagingSettings(method="bp"), enrolled))
 
@@ -118,12 +117,10 @@ class Meter:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What is read."""
     parser.add_argument("--items", type=int, help="captures; 600 (40 of `scaling`), or fewer for a look")
 
 
 def report(run: Run) -> Iterator[Table]:
-    """A row for each tenth of the run."""
     items = run.options.items or (20 if run.quick else 600)
     run.seeds = "0 to 39, one per scene"
     folder = run.folder / "captures"
@@ -153,7 +150,6 @@ def dask(*words: str, ready: str) -> Iterator[str]:
     """A Dask process; yields what it says when it is ready."""
     command = [sys.executable, "-m", f"distributed.cli.{words[0]}", *words[1:]]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
-        assert process.stderr is not None
         result = next(match for line in process.stderr if (match := re.search(ready, line)))
         reader = threading.Thread(target=process.stderr.read)
         reader.start()
@@ -191,7 +187,6 @@ def rate(runner: Runner, sources: list[Source], job: Job) -> tuple[float, float]
 
 
 def workers(run: Run) -> Iterator[Table]:
-    """A row for one and two workers, here and on a cluster."""
     repeats, items = run.number(3), run.options.items or (8 if run.quick else 40)
     run.seeds = "0, 1, 2, ... (one per capture)"
     real = []

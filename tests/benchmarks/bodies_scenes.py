@@ -14,10 +14,9 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.reading.arrangement import gaps_deg
-from tests.benchmarks.fullwave_scenes import full_wave, known, recorded
+from tests.benchmarks.fullwave_scenes import NAMES, full_wave, known, recorded
 from train.population import difference_deg, has_enrolled_spacing
 
-NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
 ANGLES = {"container-90": (0.0, 90.0), "container-180": (0.0, 180.0)}
 NAMELESS = "foreign or untagged"
 FOREIGN_DEG = (
@@ -34,13 +33,9 @@ LEAST_M = 0.03
 
 
 class Scene(NamedTuple):
-    """An object of the responses, or a body with reflectors at any angles.
+    """A body with reflectors at some angles, or the response of a name where there are none (None).
 
-    Attributes:
-        group: row of the table.
-        name: response; of the body where there are angles.
-        angles_deg: of the reflectors on it; None takes the response as it is.
-        truth: the layout that it carries; None for none of the enrolled ones.
+    The group is the row of the table, the truth the layout that it carries; None for none of the enrolled.
     """
 
     group: str
@@ -57,15 +52,8 @@ class Scene(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """How a scene is recorded.
-
-    Attributes:
-        views: number of views.
-        snr_db: against one reflector of the tag, at its peak.
-        offset_m: of the object from the axis, in a random direction.
-        polarisation: "V" or "H".
-        hard: measured pulse, wobble of 0.01 rad, axis distance wrong by up to 10 mm.
-    """
+    """How a scene is recorded: SNR against one reflector of the tag at its peak, offset from the axis in a
+    random direction; hard: measured pulse, wobble of 0.01 rad, axis distance wrong by up to 10 mm."""
 
     views: int = 36
     snr_db: float = 20.0
@@ -75,7 +63,6 @@ class Recording(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Heading of its column."""
         words = [f"{self.views} views", f"{self.snr_db:.0f} dB", f"{self.offset_m * 1e3:.0f} mm off"]
         words += ["horizontal"] if self.polarisation == "H" else []
         words += ["measured pulse, wobble 1 %, axis wrong by up to 10 mm"] if self.hard else []
@@ -134,11 +121,8 @@ def drawn(number: int) -> tuple[Scene, Recording]:
         gaps = gaps_deg(angles) if count > 1 else np.full(1, 360.0)
         if count > 1 and 2 * RING_M * np.sin(np.deg2rad(min(gaps.min(), 180.0)) / 2) < LEAST_M:
             continue
-        if all(
-            difference_deg(gaps, gaps_deg(layout)) > APART_DEG
-            for layout in layouts
-            if len(layout) == len(angles)
-        ):
+        # Unlike counts differ by 180 degrees.
+        if all(difference_deg(gaps, gaps_deg(layout)) > APART_DEG for layout in layouts):
             break
     recording = Recording(
         views=int(rng.choice([18, 36, 36, 72])),
@@ -147,8 +131,9 @@ def drawn(number: int) -> tuple[Scene, Recording]:
         polarisation=str(rng.choice(["V", "V", "H"])),
         hard=bool(rng.uniform() < 0.5),
     )
-    name = "bare" if free else "on a body"
-    return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
+    return Scene(
+        f"foreign tag, {'bare' if free else 'on a body'}", body, tuple(np.rad2deg(angles)), None
+    ), recording
 
 
 def _reference(base: str, name: str) -> str:
@@ -184,7 +169,6 @@ def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.n
 
 
 def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
-    """The capture of a scene, the same for the same seed."""
     made = full_wave()
     name, base = scene.name, scene.name.split("_")[0]
     if scene.angles_deg is not None:

@@ -72,5 +72,4 @@ NEEDS: dict[str, tuple[bool, str]] = {
 
 
 def missing(names: tuple[str, ...]) -> list[str]:
-    """A line for each need that is not met."""
     return [f"{name} is missing: {NEEDS[name][1]}" for name in names if not NEEDS[name][0]]

@@ -12,7 +12,6 @@ in real time; taping and gluing are not in them.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import math
 import os
 import socket
@@ -43,7 +42,7 @@ from tagid.simulate.rig import NOMINAL_DISTANCE_M, parse_rig
 from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.layout import builtin_layouts
 from tests.benchmarks.measure import started, timed
-from tests.benchmarks.provenance import ROOT
+from tests.benchmarks.provenance import ROOT, imported
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, grouped
 
@@ -153,7 +152,6 @@ def read_on_rig(seed: int) -> dict[str, Any]:
         prepared, layouts = PreparedCapture(capture), list(builtin_layouts().values())
         answer, _, seconds = timed(partial(identify, prepared, layouts))
         reading = answer.reading
-        assert reading is not None
         name = reading.layout if reading.status == "identified" else None
         bound = math.nan if reading.bound is None else reading.bound.p_value
         results[state] = [name, reading.lead, seconds, bound]
@@ -161,7 +159,6 @@ def read_on_rig(seed: int) -> dict[str, Any]:
 
 
 def hard(run: Run) -> Iterator[Table]:
-    """Names of tags in hard scenes on emulated rigs, with what a tape gives and with the rig profile."""
     results = run.each(read_on_rig, list(run.drawn(48, 2, 1100)))
     rows = []
     for number, some in sorted(grouped(results, lambda seed: seed % len(HARD)).items()):
@@ -187,7 +184,6 @@ def hard(run: Run) -> Iterator[Table]:
 
 
 def rigs(run: Run) -> Iterator[Table]:
-    """Errors of the values beside their standard errors, and which planted faults are named."""
     count, faulty = run.number(60, 2), 1 if run.quick else 20
     run.seeds = f"1000 to {1000 + count - 1}; with a planted fault 1000 to {1000 + faulty - 1}"
     jobs = [(1000 + i, fault) for fault in FAULTS for i in range(faulty)]
@@ -247,15 +243,6 @@ return row ? [row.className, row.innerText, !button.disabled] : ['', '', false];
 """
 
 
-def _pictures() -> Any:
-    """The script of the pictures of docs/station.md: its browser and sizes serve here."""
-    spec = importlib.util.spec_from_file_location("pictures", ROOT / "docs" / "make_station_pictures.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def _free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -285,8 +272,8 @@ def _sheet(shots: list[Path]) -> None:
 
 
 def walk(run: Run) -> Iterator[Table]:
-    """What a person does and sees while a rig is commissioned on the page."""
-    rig, script, port = parse_rig(RIG), _pictures(), _free_port()
+    rig, port = parse_rig(RIG), _free_port()
+    script = imported(ROOT / "docs" / "make_station_pictures.py")  # its browser and sizes
     run.seeds = RIG
     rows, shots, began = [], [], 0.0
     typed = {
@@ -294,39 +281,36 @@ def walk(run: Run) -> Iterator[Table]:
         "c-height": f"{rig.antenna_height_m:.3f}",
         "c-target": f"{rig.axis_distance_m:.3f}",
     }
-    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as table:
-        config = Path(folder) / "config.toml"
-        config.write_text(
-            f'[radar]\nurl = "udp://127.0.0.1:{port}"\nintegration = 15\n'
-            f'[motion]\nurl = "free?rpm={60 / rig.period_s:.2g}"\naxis_distance_m = 1.0\n'
-        )
-        environment = {**os.environ, "TAGID_DATA": folder, "TAGID_CONFIG": str(config)}
-        with started(["station", "--bind", "127.0.0.1:0"], environment) as station:
-            page = script.browser(f"{folder}/profile")
-            try:
-                script.size(page, "tablet", "light")
-                page.get(f"{station['url']}#view-commission")
-                for number, (step, scene, acts) in enumerate(ON_PAGE):
-                    if acts:
-                        table.close()
-                        words = f"emulate p440 --bind 127.0.0.1:{port} --rig {RIG} --scene {scene}"
-                        table.enter_context(started(words.split(), environment))
-                        _until(page, step, ())
-                        began = time.monotonic()
-                        for field, value in typed.items() if step == "link" else ():
-                            page.execute_script(TYPE, field, value)
-                        page.execute_script(f"{BUTTON}.click()", step)
-                    state, text = _until(page, step, ("passed", "failed"))
-                    seconds, began = time.monotonic() - began, time.monotonic()
-                    page.execute_script(f"{BUTTON}.closest('li').scrollIntoView({{block: 'center'}})", step)
-                    shots.append(Path(folder) / f"{number}.png")
-                    script.take(page, shots[-1])
-                    first = text.splitlines()[-1] if state == "failed" else ""
-                    rows.append((step, "; ".join(acts) or "-", f"{seconds:.0f}", f"{state} {first}".strip()))
-                    run.say(f"{step}: {state} in {seconds:.0f} s")
-            finally:
-                page.quit()
-        _sheet(shots)
+    Path(os.environ["TAGID_CONFIG"]).write_text(
+        f'[radar]\nurl = "udp://127.0.0.1:{port}"\nintegration = 15\n'
+        f'[motion]\nurl = "free?rpm={60 / rig.period_s:.2g}"\naxis_distance_m = 1.0\n'
+    )
+    with (
+        started(["station", "--bind", "127.0.0.1:0"]) as station,
+        script.browser(f"{run.folder}/profile") as page,
+        contextlib.ExitStack() as table,
+    ):
+        script.size(page, "tablet", "light")
+        page.get(f"{station['url']}#view-commission")
+        for number, (step, scene, acts) in enumerate(ON_PAGE):
+            if acts:
+                table.close()
+                words = f"emulate p440 --bind 127.0.0.1:{port} --rig {RIG} --scene {scene}"
+                table.enter_context(started(words.split()))
+                _until(page, step, ())
+                began = time.monotonic()
+                for field, value in typed.items() if step == "link" else ():
+                    page.execute_script(TYPE, field, value)
+                page.execute_script(f"{BUTTON}.click()", step)
+            state, text = _until(page, step, ("passed", "failed"))
+            seconds, began = time.monotonic() - began, time.monotonic()
+            page.execute_script(f"{BUTTON}.closest('li').scrollIntoView({{block: 'center'}})", step)
+            shots.append(run.folder / f"{number}.png")
+            script.take(page, shots[-1])
+            first = text.splitlines()[-1] if state == "failed" else ""
+            rows.append((step, "; ".join(acts) or "-", f"{seconds:.0f}", f"{state} {first}".strip()))
+            run.say(f"{step}: {state} in {seconds:.0f} s")
+    _sheet(shots)
     minutes = sum(float(row[2]) for row in rows) / 60
     decisions = sum(len(acts) for _, _, acts in ON_PAGE)
     yield Table(

@@ -11,7 +11,6 @@ import ctypes
 import pickle
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import resample
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
@@ -70,14 +70,14 @@ def image_times(run: Run) -> Iterator[Table]:
     Every round times all of them once, so that a processor whose clock changes slows all alike.
     """
     repeats = _repeats(run)
-    jobs = []
-    for name, views, pixels in (("BP", 360, 128), ("FISTA", 36, 96), ("ATS", 36, 96), ("ATS", 360, 96)):
-        grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, matched=name == "BP")
-        jobs.append((name, views, pixels, partial(WORKS[name], raw, grid)))
-    rounds = [[best(work, 1) for *_, work in jobs] for _ in range(repeats)]
+    sizes = (("BP", 360, 128), ("FISTA", 36, 96), ("ATS", 36, 96), ("ATS", 360, 96))
+    works = [
+        partial(WORKS[name], scans(views, matched=name == "BP"), ImageGrid(EXTENT_M, pixels))
+        for name, views, pixels in sizes
+    ]
+    rounds = np.array([[best(work, 1) for work in works] for _ in range(repeats)])
     rows = []
-    for (name, views, pixels, _), times in zip(jobs, zip(*rounds, strict=True), strict=True):
-        wall, cpu = min(t[0] for t in times), min(t[1] for t in times)
+    for (name, views, pixels), (wall, cpu) in zip(sizes, rounds.min(axis=0), strict=True):
         rows.append([name, str(views), f"{pixels} x {pixels}", f"{wall * 1e3:.1f}", f"{cpu * 1e3:.1f}"])
     rows.append(["BP, error", "360", "128 x 128", f"{backprojection_error() * 100:.2f} %", ""])
     yield Table("method | views | pixels | wall (ms) | CPU (ms)", rows, f"One scene, best of {repeats}.")
@@ -91,28 +91,22 @@ def rivals(run: Run) -> Iterator[Table]:
     repeats = _repeats(run)
     wide, few = scans(360, oversampling=6.0, matched=True), scans(36)
     large, small = ImageGrid(EXTENT_M, 128), ImageGrid(EXTENT_M, 96)
-    with tempfile.TemporaryDirectory() as folder:
-        plain = _plain_backprojection(Path(folder), wide, large)
-        exact, image = plain(), backproject(wide, large).values.ravel()
-        alike = abs(np.vdot(exact, image)) / (np.linalg.norm(exact) * np.linalg.norm(image))
-        assert alike > 0.99, f"the two images correlate by {alike:.3f}"
-        pairs: list[tuple[str, Callable[[], object], str, Callable[[], object]]] = [
-            ("BP, 360 views, 128 x 128", partial(backproject, wide, large), "plain C++ with OpenMP", plain),
-            ("FISTA, 36 views, 96 x 96", partial(sparse_recovery, few, small), "PyLops", _pylops(few, small)),
-            (
-                "ATS, 36 views, 96 x 96",
-                partial(fit, few, small),
-                "FISTA",
-                partial(sparse_recovery, few, small),
-            ),
-        ]
-        rows = []
-        for name, ours, other, theirs in pairs:
-            rounds = [(best(ours, 1)[0], best(theirs, 1)[0]) for _ in range(repeats)]
-            first, two = (min(times) for times in zip(*rounds, strict=True))
-            ratio, word = max(two / first, first / two), "faster" if first < two else "slower"
-            rows.append([name, f"{first * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
-            run.say(str(rows[-1]))
+    plain = _plain_backprojection(run.folder, wide, large)
+    exact, image = plain(), backproject(wide, large).values.ravel()
+    alike = abs(np.vdot(exact, image)) / (np.linalg.norm(exact) * np.linalg.norm(image))
+    assert alike > 0.99, f"the two images correlate by {alike:.3f}"
+    fista = partial(sparse_recovery, few, small)
+    rows = []
+    for name, ours, other, theirs in (
+        ("BP, 360 views, 128 x 128", partial(backproject, wide, large), "plain C++ with OpenMP", plain),
+        ("FISTA, 36 views, 96 x 96", fista, "PyLops", _pylops(few, small)),
+        ("ATS, 36 views, 96 x 96", partial(fit, few, small), "FISTA", fista),
+    ):
+        rounds = [(best(ours, 1)[0], best(theirs, 1)[0]) for _ in range(repeats)]
+        first, two = (min(times) for times in zip(*rounds, strict=True))
+        ratio, word = max(two / first, first / two), "faster" if first < two else "slower"
+        rows.append([name, f"{first * 1e3:.1f}", other, f"{two * 1e3:.1f}", f"{ratio:.1f}", word])
+        run.say(str(rows[-1]))
     heading = "image | wall (ms) | beside | wall (ms) | ratio | tagid is"
     yield Table(heading, rows, f"One scene, best of {repeats}, wall clock, all cores.")
 
@@ -165,13 +159,10 @@ def backprojection_error() -> float:
     """Largest error of an image of 360 views against the sum written out in double precision."""
     grid, raw = ImageGrid(EXTENT_M, 128), scans(360, matched=True)
     image = backproject(raw, grid).values.ravel()
-    antenna = raw.aperture.positions
-    from scipy.signal import resample
-
     factor = 64
     fine = resample(raw.samples.astype(complex), raw.samples.shape[1] * factor, axis=1)
     total = np.zeros(len(grid.points), dtype=complex)
-    for row, (x, y, z) in zip(fine, antenna, strict=True):
+    for row, (x, y, z) in zip(fine, raw.aperture.positions, strict=True):
         distance = np.sqrt((grid.points[:, 0] - x) ** 2 + (grid.points[:, 1] - y) ** 2 + z**2)
         at = (distance - raw.range_start_m) / raw.range_step_m * factor
         bins = np.arange(len(row))
@@ -206,7 +197,6 @@ def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[
 
 
 def growth(run: Run) -> Iterator[Table]:
-    """Cost over views, pixels and bins, with the parts of a step."""
     repeats = _repeats(run)
     cases = [("views", (v, 96, 1.5)) for v in VIEWS]
     cases += [("pixels", (36, p, 1.5)) for p in PIXELS]
@@ -243,9 +233,8 @@ def growth(run: Run) -> Iterator[Table]:
 _ENGINE = """
 import pickle, resource, sys, time, numpy as np
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings, FitSettings
+from tagid.imaging.ats.settings import AtsSettings
 raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
 seconds = []
 for _ in range({repeats}):
@@ -367,7 +356,6 @@ def pulse_estimates(run: Run) -> Iterator[Table]:
 
 
 def process(run: Run) -> Iterator[Table]:
-    """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
     repeats, file = max(2, _repeats(run) // 3), run.folder / "scene.tagid.h5"
     rng = np.random.default_rng(77)
     write_capture(file, point_problem(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng).capture)

@@ -68,7 +68,6 @@ def one_run(number: int) -> Demo:
 
 
 def runs(run: Run) -> Iterator[Table]:
-    """How often each answer was given."""
     count = run.number(20, 1)
     run.seeds = "those of the demo"
     with busy(BUSY):

@@ -15,7 +15,6 @@ are two to four reflectors at random angles, 40 mm or more apart, of no enrolled
 from __future__ import annotations
 
 import zlib
-from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -32,7 +31,7 @@ from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
 from tests.benchmarks.fullwave_scenes import full_wave, recorded
-from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
+from tests.benchmarks.identification_scenes import SETS, in_space, is_foreign, least_gap_m
 
 DISTANCE_M = 1.0
 POPULATION = "development/1"
@@ -40,7 +39,6 @@ POPULATION = "development/1"
 OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10)
 VIEWS = 36
-ENROLMENT_VIEWS = 72
 
 HANDLE = "can35_handle"
 BODIES = (HANDLE, "shell", "can35")
@@ -75,6 +73,9 @@ class Where(NamedTuple):
     views: int
 
 
+ENROLMENT = [Where(f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, 72) for i in range(3)]
+
+
 def capture_of(solved: str, where: Where) -> Capture:
     """A capture of a solved object, the same for the same arguments; SNR against one reflector of its tag."""
     rng = np.random.default_rng(zlib.crc32("/".join(map(str, (solved, *where))).encode()))
@@ -83,14 +84,7 @@ def capture_of(solved: str, where: Where) -> Capture:
 
 
 class Scene(NamedTuple):
-    """One capture to be read.
-
-    Attributes:
-        part: "body" or "object", what is enrolled.
-        solved: object.
-        name: right name, "" where none is.
-        offset_mm, snr_db, number: of the capture.
-    """
+    """A capture of a solved object: what is enrolled ("body" or "object"); the right name, "" for none."""
 
     part: str
     solved: str
@@ -107,8 +101,7 @@ def slug(solved: str) -> str:
 
 def enrolled(solved: str, kind: SignatureKind) -> Signature:
     """Signature of a solved object from three captures."""
-    wheres = [Where(f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, ENROLMENT_VIEWS) for i in range(3)]
-    shown = [capture_of(solved, where) for where in wheres]
+    shown = [capture_of(solved, where) for where in ENROLMENT]
     return _signature(solved, slug(solved), shown, kind)
 
 
@@ -118,7 +111,6 @@ def _signature(prefix: str, name: str, shown: list[Capture], kind: SignatureKind
 
 
 def scenes(number: int) -> list[Scene]:
-    """Every scene of solved objects with a number."""
     results = []
     for place in product(OFFSETS_MM, SNRS_DB, (number,)):
         results += [Scene("body", solved, name, *place) for solved, name in ON_BODIES.items()]
@@ -134,14 +126,9 @@ RINGS = ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H"))
 
 
 class Carrier(NamedTuple):
-    """A body with its family of designed layouts.
+    """A body, as `--body` takes it or solved, with its designed layouts, of `identification_scenes.SETS`.
 
-    Attributes:
-        world: "own" or "full-wave".
-        layouts: key of `identification_scenes.SETS`.
-        body: as `--body` takes it, or the solved body's name.
-        single: solved response of a single reflector, per size in mm; empty for "own".
-        sizes_mm: of the octahedra.
+    The world is "own", or "full-wave" with a solved response of a single reflector per size.
     """
 
     world: str
@@ -157,7 +144,6 @@ class Carrier(NamedTuple):
 
     @property
     def family(self) -> tuple[Layout, ...]:
-        """Every layout of the family."""
         return SETS[self.layouts]
 
 
@@ -180,13 +166,7 @@ SPACING_M = 0.04
 
 
 class DesignedScene(NamedTuple):
-    """One capture to be read.
-
-    Attributes:
-        carrier: index of CARRIERS.
-        what: index of the layout in its family; -1 for none, less for foreign tags.
-        size_mm, offset_mm, snr_db, number: of the capture.
-    """
+    """A capture of a carrier (index) with a layout of its family (index; -1: none, less: a foreign tag)."""
 
     carrier: int
     what: int
@@ -197,14 +177,12 @@ class DesignedScene(NamedTuple):
 
     @property
     def layout(self) -> Layout | None:
-        """What the body carries."""
         if self.what >= 0:
             return CARRIERS[self.carrier].family[self.what]
         return None if self.what == -1 else _foreign(self)
 
     @property
     def name(self) -> str:
-        """The right name, "" where none is."""
         return CARRIERS[self.carrier].family[self.what].name if self.what >= 0 else ""
 
 
@@ -220,7 +198,6 @@ def designed_scenes() -> list[DesignedScene]:
 
 
 def _foreign(scene: DesignedScene) -> Layout:
-    """A tag of no enrolled arrangement."""
     carrier = CARRIERS[scene.carrier]
     rng = np.random.default_rng([7, scene.carrier, -scene.what, scene.size_mm, scene.snr_db, scene.number])
     radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)
@@ -232,13 +209,9 @@ def _foreign(scene: DesignedScene) -> Layout:
 
 
 def designed_capture(carrier: Carrier, layout: Layout | None, size_mm: int, where: Where) -> Capture:
-    """A capture of a layout on its body, or of the body alone; the same for the same arguments.
+    """A capture of a layout, or of none, on its body; the same for the same arguments.
 
-    Args:
-        carrier: body and family.
-        layout: one of its family; None for no tag.
-        size_mm: of the octahedra; also what the SNR refers to.
-        where: how it is recorded.
+    The SNR refers to octahedra of the size.
     """
     key, snr_db, offset_mm, views = where
     words = f"{carrier}/{layout.name if layout else ''}/{size_mm}/{key}/{snr_db}/{offset_mm}/{views}"
@@ -275,12 +248,6 @@ def _superposed(body: str, single: str, layout: Layout) -> tuple[NDArray[np.floa
     return frequency, reply + np.fft.fft(np.stack(rings, axis=1), axis=2) / AZIMUTHS
 
 
-@cache
-def _parts_rad(body: str) -> float:
-    """Direction of the handle: the same specimen in every capture."""
-    return float(np.random.default_rng(zlib.crc32(body.encode())).uniform(0, 2 * np.pi))
-
-
 def _own(
     carrier: Carrier,
     layout: Layout | None,
@@ -292,8 +259,10 @@ def _own(
     positions = np.zeros((0, 3))
     ring = np.zeros(2)
     if layout is not None:
-        positions = np.column_stack([layout.positions[:, :2], layout.heights])
+        positions = in_space(layout)
         ring = rng.normal(0, 0.5e-3, 2)
+    # The handle stands alike in every capture, counted from the tag: the tag is glued on anywhere.
+    parts_rad = float(np.random.default_rng(zlib.crc32(carrier.body.encode())).uniform(0, 2 * np.pi))
     scene = object_scene(
         carrier.name,
         positions,
@@ -301,8 +270,7 @@ def _own(
         ReflectorSpec("octahedron", size_mm * 1e-3),
         rng=rng,
         room=room_clutter(rng),
-        # The handle's direction is counted from the tag: the tag is glued on anywhere.
-        variation=Variation(_parts_rad(carrier.body), (float(ring[0]), float(ring[1])), 0.5),
+        variation=Variation(parts_rad, (float(ring[0]), float(ring[1])), 0.5),
     )
     acquisition = Acquisition(
         views=where.views,
@@ -316,13 +284,5 @@ def _own(
 def enrolled_carrier(number: int) -> Signature:
     """Signature of a body of the designed layouts from three captures without a tag."""
     carrier = CARRIERS[number]
-    shown = [
-        designed_capture(
-            carrier,
-            None,
-            carrier.sizes_mm[0],
-            Where(f"{POPULATION}/enrol/{i}", 20, 2 + 2 * i, ENROLMENT_VIEWS),
-        )
-        for i in range(3)
-    ]
+    shown = [designed_capture(carrier, None, carrier.sizes_mm[0], where) for where in ENROLMENT]
     return _signature(carrier.name, carrier.name, shown, "body")

@@ -50,7 +50,6 @@ class FastClock:
         self._library.fast_clock_speed(speed)
 
     def true_s(self) -> float:
-        """True monotonic time, s."""
         return float(self._library.fast_clock_true_s())
 
 

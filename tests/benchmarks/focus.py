@@ -46,7 +46,6 @@ class Task(NamedTuple):
 
     @property
     def row(self) -> str:
-        """Row of the table."""
         if self.kind != "full wave":
             return f"path: {self.name}" if self.kind == "rail" else f"{self.name}, {RADARS[self.radar].name}"
         if self.name.startswith("free"):
@@ -65,19 +64,16 @@ given and of the best guess."""
 def try_task(task: Task) -> Outcome:
     """Draw a scene and search as every method does."""
     if task.kind == "rail":
-        capture, delay = draw_rail(task.name, task.seed)
+        capture, true = draw_rail(task.name, task.seed)
         focus = choose_region(capture, ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True).focus
-        given, true, lam = 0.0, delay, capture.wavelength_m
+        given, lam = 0.0, capture.wavelength_m
     else:
-        full_wave = task.kind == "full wave"
-        scene = (
-            full_wave_scene(task.name, task.seed)
-            if full_wave
-            else draw_scene(task.name, RADARS[task.radar], task.seed)
-        )
+        if task.kind == "full wave":
+            scene = full_wave_scene(task.name, task.seed)
+        else:
+            scene = draw_scene(task.name, RADARS[task.radar], task.seed)
         focus = PreparedCapture(scene.capture, ImagingSettings(extent_m=scene.extent_m)).focus()
         given, true, lam = scene.capture.axis_distance_m or 0.0, scene.true_m, scene.wavelength_m
-    assert focus is not None
     guess = float("nan") if focus.best_m is None else (focus.best_m - true) / lam
     return {
         "row": task.row,
@@ -125,7 +121,6 @@ def summary(outcomes: list[Outcome]) -> str:
 
 
 def reasons(outcomes: list[Outcome]) -> str:
-    """How often each reason was given."""
     counted: Counter[str] = Counter()
     for reason in (o["reason"] for o in outcomes if o["reason"]):
         reason = "its standard error is too large" if "standard error" in reason else reason
@@ -158,7 +153,6 @@ def axis_distance(run: Run) -> Iterator[Table]:
 
 
 def path_delay(run: Run) -> Iterator[Table]:
-    """Paths past reflectors."""
     seeds = run.number(30, 2)
     run.seeds = f"{seeds} per row from {FIRST_SEED} on"
     numbers = range(FIRST_SEED, FIRST_SEED + seeds)

@@ -8,7 +8,7 @@ wavelengths, so the same family serves a P440 and a sonar in air.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,6 @@ class Radar(NamedTuple):
 
     @property
     def wavelength_m(self) -> float:
-        """Wavelength of the centre frequency, m."""
         return SPEED_OF_LIGHT / self.center_frequency_hz
 
 
@@ -43,16 +42,11 @@ SONAR_WIDE = Radar("17 mm, wide", 17.4e9, 14e9, 0.85, 0.0017)
 RADARS = (P440, SONAR, SONAR_WIDE)
 
 
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Scatterers of a body.
+class Body(NamedTuple):
+    """Scatterers: points (n, 3), m, complex amplitudes (n,), outward unit normals in the plane (n, 2).
 
-    Attributes:
-        points: (n, 3) m.
-        amplitudes: (n,) complex.
-        normals: (n, 2) outward unit normals in the plane; zero vectors scatter to all sides.
-        power: exponent of the cosine between normal and line of sight.
-        both: what shines through from the back wall, relative amplitude.
+    A zero normal scatters to all sides; `power` is the exponent of the cosine between normal and line of
+    sight, `both` what shines through from the back wall, relative amplitude.
     """
 
     points: np.ndarray
@@ -79,10 +73,8 @@ def record(
     spectrum *= SPEED_OF_LIGHT / (2 * step)
     rows = np.zeros((len(angles), n), dtype=np.complex128)
     for row, angle in zip(rows, angles, strict=True):
-        antenna = np.array(
-            [radar.axis_distance_m * np.cos(-angle), radar.axis_distance_m * np.sin(-angle), height_m]
-        )
-        sight = antenna - body.points
+        around = radar.axis_distance_m * np.array([np.cos(-angle), np.sin(-angle)])
+        sight = np.append(around, height_m) - body.points
         distance = np.linalg.norm(sight, axis=1)
         cosine = (sight[:, :2] * body.normals).sum(axis=1) / distance
         seen = np.where(cosine > 0, np.maximum(cosine, 0) ** body.power, body.both * np.abs(cosine))
@@ -99,12 +91,6 @@ def record(
             row.imag += np.bincount(index, weighted.imag, n)
     z = np.fft.ifft(np.fft.fft(rows, axis=1) * spectrum, axis=1)
     return z[:, : bins * _FINE : _FINE], start
-
-
-def _turned(points: np.ndarray, normals: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s], [s, c]])
-    return np.column_stack([points[:, :2] @ turn.T, points[:, 2]]), normals @ turn.T
 
 
 def _closed(radius: Callable[[np.ndarray], np.ndarray], step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -158,11 +144,7 @@ def rough_scene(rng: np.random.Generator, lam: float) -> Body:
 def smooth_scene(rng: np.random.Generator, lam: float) -> Body:
     """A smooth body by physical optics: facets an eighth of a wavelength apart, two wavelengths high."""
     size = rng.uniform(0.4, 4) * lam
-    xy, normals = _closed(_blob(rng, size), lam / 8)
-    heights = np.arange(-1, 1.01, 0.25) * lam
-    points = _raised(xy, heights)
-    points[:, :2] += rng.uniform(-1, 1, 2) * lam
-    return Body(points, np.ones(len(points), dtype=complex), np.tile(normals, (len(heights), 1)))
+    return _upright(rng, lam, *_closed(_blob(rng, size), lam / 8))
 
 
 def detailed_scene(rng: np.random.Generator, lam: float) -> Body:
@@ -185,22 +167,21 @@ def box_scene(rng: np.random.Generator, lam: float) -> Body:
     """A rectangular box by physical optics with its four edges as line scatterers, off the axis."""
     a, b = rng.uniform(0.7, 4, 2) * lam
     xs, ys = (np.arange(-s / 2 + lam / 16, s / 2, lam / 8) for s in (a, b))
-    sides = [
-        (np.column_stack([xs, np.full(len(xs), s * b / 2)]), np.tile([0.0, s], (len(xs), 1))) for s in (-1, 1)
-    ] + [
-        (np.column_stack([np.full(len(ys), s * a / 2), ys]), np.tile([s, 0.0], (len(ys), 1))) for s in (-1, 1)
-    ]
+    walls = [np.column_stack([xs, np.full(len(xs), s * b / 2)]) for s in (-1, 1)]
+    walls += [np.column_stack([np.full(len(ys), s * a / 2), ys]) for s in (-1, 1)]
+    outward = ([0.0, -1], [0.0, 1], [-1, 0.0], [1, 0.0])
     corners = np.array([[x, y] for x in (-a / 2, a / 2) for y in (-b / 2, b / 2)])
-    out = corners / np.abs(corners) / np.sqrt(2)
-    xy = np.vstack([s[0] for s in sides] + [corners])
-    normals = np.vstack([s[1] for s in sides] + [out])
+    xy = np.vstack([*walls, corners])
+    normals = np.repeat(outward, [len(wall) for wall in walls], axis=0)
+    normals = np.vstack([normals, corners / np.abs(corners) / np.sqrt(2)])
     edge = rng.uniform(0.5, 2.0)
     amplitude = np.concatenate([np.ones(len(xy) - 4), edge * np.exp(2j * np.pi * rng.random(4))])
     heights = np.arange(-1, 1.01, 0.25) * lam
-    points = _raised(xy, heights)
-    points, normals = _turned(points, np.tile(normals, (len(heights), 1)), rng.uniform(0, np.pi))
-    points[:, :2] += rng.uniform(-1, 1, 2) * lam
-    return Body(points, np.tile(amplitude, len(heights)), normals, 0.5)
+    points, angle = _raised(xy, heights), rng.uniform(0, np.pi)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    points[:, :2] = points[:, :2] @ turn.T + rng.uniform(-1, 1, 2) * lam
+    return Body(points, np.tile(amplitude, len(heights)), np.tile(normals, (len(heights), 1)) @ turn.T, 0.5)
 
 
 def shell_scene(rng: np.random.Generator, lam: float) -> Body:
@@ -217,11 +198,7 @@ def shell_scene(rng: np.random.Generator, lam: float) -> Body:
     amplitude = np.full(len(points), 1j * rng.uniform(0.02, 0.3))
     count = int(rng.integers(2, 5))
     at = rng.uniform(0, 2 * np.pi, count)
-    tags = np.column_stack([radius(at) * np.cos(at), radius(at) * np.sin(at), np.zeros(count)]) * [
-        1.15,
-        1.15,
-        1,
-    ]
+    tags = 1.15 * np.column_stack([radius(at) * np.cos(at), radius(at) * np.sin(at), np.zeros(count)])
     points = np.vstack([points, tags])
     points[:, :2] += rng.uniform(-0.3, 0.3, 2) * lam
     return Body(
@@ -236,7 +213,11 @@ def shell_scene(rng: np.random.Generator, lam: float) -> Body:
 def can_scene(rng: np.random.Generator, lam: float) -> Body:
     """One round can by physical optics, off the axis: nothing in its echo tells the distance."""
     size = rng.uniform(0.3, 1.0) * lam
-    xy, normals = _closed(lambda t: np.full_like(t, size), lam / 16)
+    return _upright(rng, lam, *_closed(lambda t: np.full_like(t, size), lam / 16))
+
+
+def _upright(rng: np.random.Generator, lam: float, xy: np.ndarray, normals: np.ndarray) -> Body:
+    """An outline by physical optics, two wavelengths high, off the axis."""
     heights = np.arange(-1, 1.01, 0.25) * lam
     points = _raised(xy, heights)
     points[:, :2] += rng.uniform(-1, 1, 2) * lam
@@ -339,14 +320,9 @@ def draw_rail(path: str, seed: int) -> tuple[Capture, float]:
     points = np.column_stack([rng.uniform(-1.2, 1.2, count), rng.uniform(1.5, 4.0, count), np.zeros(count)])
     strengths = rng.uniform(0.5, 1.0, count)
     if path.startswith("leakage"):
-        extra = 40
-        clutter = np.column_stack(
-            [rng.uniform(-3, 3, extra), rng.uniform(0.8, 5, extra), rng.uniform(0, 1, extra)]
-        )
-        points, strengths = (
-            np.vstack([points, clutter]),
-            np.concatenate([strengths, rng.uniform(0, 0.15, extra)]),
-        )
+        clutter = np.column_stack([rng.uniform(*limits, 40) for limits in ((-3, 3), (0.8, 5), (0, 1))])
+        points = np.vstack([points, clutter])
+        strengths = np.append(strengths, rng.uniform(0, 0.15, 40))
     ranges = 0.1 + RANGE_STEP_M * np.arange(bins)
     samples = 0.1 * rng.standard_normal((views, bins))
     pulse = nominal_pulse()
@@ -355,14 +331,11 @@ def draw_rail(path: str, seed: int) -> tuple[Capture, float]:
         distance = np.linalg.norm(sight, axis=1)
         beam = np.maximum(sight[:, 1] / distance, 0.05) ** 2
         echo = pulse_at(pulse, 2 * (ranges - distance[:, None] - delay) / SPEED_OF_LIGHT).real
-        samples += strength * (beam * (2.0 / distance) ** 1.0)[:, None] * echo
+        samples += strength * (beam * (2.0 / distance))[:, None] * echo
     if path.startswith("leakage"):
         for at, size in ((0.35, 20.0), (0.5, 10.0), (0.8, 4.0)):
             jitter = 1 + 0.02 * rng.standard_normal(views)
-            echo = pulse_at(
-                pulse,
-                2 * (ranges[None] - at - delay + 2e-4 * rng.standard_normal((views, 1))) / SPEED_OF_LIGHT,
-            )
-            samples += size * jitter[:, None] * echo.real
+            offset = ranges[None] - at - delay + 2e-4 * rng.standard_normal((views, 1))
+            samples += size * jitter[:, None] * pulse_at(pulse, 2 * offset / SPEED_OF_LIGHT).real
     capture = Capture(samples.astype(np.float32), float(ranges[0]), RANGE_STEP_M, antenna_positions_m=antenna)
     return capture, delay

@@ -209,12 +209,10 @@ CHECKS = {check.__name__: check for check in (mie, plate, cylinder, sheet, mesh,
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which checks."""
     parser.add_argument("checks", nargs="*", metavar="CHECK", help=f"of {', '.join(CHECKS)}; all of them")
 
 
 def differences(run: Run) -> Iterator[Table]:
-    """A row for every comparison."""
     rows = []
     for name in run.options.checks or (("plate",) if run.quick else CHECKS):
         for line in CHECKS[name]():

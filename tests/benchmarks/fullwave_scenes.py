@@ -4,36 +4,29 @@ points), by that folder's own `scenes.py`, and of tests/data/responses, solved b
 
 from __future__ import annotations
 
-import importlib.util
 from functools import cache
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from tagid.capture import Capture
 from tagid.simulate.response_file import read_response
-from tests.benchmarks.provenance import ROOT, SHARED
+from tests.benchmarks.provenance import ROOT, SHARED, imported
 
 FULLWAVE = SHARED / "fullwave"
+NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
+"""Ending of a solved object's name: the built-in layout that it carries. Any other ending carries none."""
 OWN = ROOT / "tests" / "data" / "responses"
 
 
 def known(name: str) -> bool:
-    """Whether that response was solved."""
     return any((folder / f"{name}.npz").is_file() for folder in (OWN, FULLWAVE / "responses"))
 
 
 @cache
-def full_wave() -> ModuleType:
+def full_wave() -> Any:
     """The scene maker beside the responses, which knows ours and sums of two, "a+b", too."""
-    path = FULLWAVE / "scenes.py"
-    if not path.is_file():
-        raise SystemExit(f"{path} is missing: set TAGID_SHARED to the folder that holds fullwave/")
-    spec = importlib.util.spec_from_file_location("fullwave_scenes", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = imported(FULLWAVE / "scenes.py")
     for own in OWN.glob("*.npz"):
         if (FULLWAVE / "responses" / own.name).is_file():
             continue
@@ -73,11 +66,6 @@ def recorded(name: str, rng: np.random.Generator, place: complex, **how: Any) ->
     """A capture of what the scene maker knows by a name, standing at x + jy, m; SNR against one reflector."""
     how = {"reference": single_of(name), **how}
     scan, _ = full_wave().make(name, rng, centre=(place.real, place.imag), **how)
-    return captured(scan)
-
-
-def captured(scan: dict[str, Any]) -> Capture:
-    """A scan of the scene maker as a capture."""
     return Capture(
         scan["samples"],
         float(scan["range_start_m"]),

@@ -47,6 +47,12 @@ class Task(NamedTuple):
     seed: int
 
 
+def tasks(seeds: range, views: tuple[int, ...]) -> list[Task]:
+    """Every scene of some seeds and numbers of views."""
+    cases = [(family, radar) for radar, names in SCENES.items() for family in names]
+    return [Task(*case, count, seed) for seed, case, count in product(seeds, cases, views)]
+
+
 def capture_of(task: Task) -> tuple[Capture, float]:
     """The capture, its true axis distance stated, and the side of the image, m."""
     if task.radar == "full wave":
@@ -93,7 +99,6 @@ def _worse(some: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which scenes."""
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="others than those of the page")
     parser.add_argument("--few-seeds", type=int, default=0, help="seeds of 12 and 36 views, if more")
 
@@ -105,13 +110,10 @@ def residual(run: Run) -> Iterator[Table]:
     run.seeds = f"{seeds} per row ({few} of 12 and 36 views) from {first} on"
     # Those of the P440 first, few views and many in turn.
     jobs = [
-        Task(family, radar, views, seed)
-        for seed in range(first, first + few)
-        for radar, names in SCENES.items()
-        for family in names
-        for views in VIEWS
-        if seed < first + (few if views in FEW else seeds)
-        and (not run.quick or (views == 36 and radar != "17 mm"))
+        task
+        for task in tasks(range(first, first + few), VIEWS)
+        if task.seed < first + (few if task.views in FEW else seeds)
+        and (not run.quick or (task.views == 36 and task.radar != "17 mm"))
     ]
     results = {task: item for task, item in run.each(residuals, jobs).items() if item}
     columns = "noise | backprojection | FISTA | ATS"
@@ -173,15 +175,9 @@ def left_between(task: Task) -> dict[str, float | str]:
 
 
 def few_views(run: Run) -> Iterator[Table]:
-    """A row for every number of views."""
     seeds = run.drawn(3, first=run.options.first_seed)
     jobs = [
-        Task(family, radar, views, seed)
-        for seed in seeds
-        for radar, names in SCENES.items()
-        for family in names
-        for views in FEW_VIEWS
-        if not run.quick or (family, views) == ("box", 36)
+        task for task in tasks(seeds, FEW_VIEWS) if not run.quick or (task.family, task.views) == ("box", 36)
     ]
     results = run.each(left_between, jobs)
     rows = []

@@ -6,19 +6,22 @@ Seeds begin at 50 000 000, which no training draws; SNR is per reflector (`tagid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture
+from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
+from tagid.pipeline.identify import identify
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Points, Returns
 from tagid.simulate.scene import Scene
+from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -52,13 +55,17 @@ APART_M = 0.012
 """Nearer than this in RMS, a foreign tag counts as the enrolled one: enrollment calls them confusable."""
 
 
+def in_space(layout: Layout) -> np.ndarray:
+    """(K, 3) reflectors, m."""
+    return np.column_stack([layout.positions, layout.heights])
+
+
 def least_gap_m(points: np.ndarray) -> float:
     """Smallest distance between points, m."""
     return float((np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))).min())
 
 
 def is_foreign(points: np.ndarray, enrolled: Sequence[Layout]) -> bool:
-    """Whether a tag is none of the enrolled ones."""
     layout = Layout("foreign", points)
     alike = [other for other in enrolled if other.size == layout.size]
     return all(rotational_distance(layout, other).rms_m > APART_M for other in alike)
@@ -91,8 +98,7 @@ def draw_scene(condition: Condition, number: int) -> tuple[Scene, str]:
     if condition.group == "tagged":
         layouts = SETS[condition.enrolled]
         layout = layouts[number % len(layouts)]
-        space = np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
-        return scene_from_layout(space, layout.name, seed), layout.name
+        return scene_from_layout(in_space(layout), layout.name, seed), layout.name
     if condition.group == "untagged":
         name = UNTAGGED[number % len(UNTAGGED)]
         return scene_from_name(name, seed), name
@@ -100,17 +106,12 @@ def draw_scene(condition: Condition, number: int) -> tuple[Scene, str]:
     return scene_from_layout(_unenrolled(name, np.random.default_rng(seed)), name, seed), name
 
 
-def _points(scene: Scene) -> Points:
-    assert scene.points is not None
-    return scene.points
-
-
 def _with_points(scene: Scene, points: Points) -> Scene:
     return replace(scene, object=tuple(points if isinstance(b, Points) else b for b in scene.object))
 
 
 def _missing(scene: Scene, rng: np.random.Generator) -> Scene:
-    p = _points(scene)
+    p = scene.points
     keep = np.arange(len(p.positions)) != rng.integers(len(p.positions))
     facing = None if p.facing_rad is None else p.facing_rad[keep]
     changed = replace(p, positions=p.positions[keep], amplitudes=p.amplitudes[keep], facing_rad=facing)
@@ -118,7 +119,7 @@ def _missing(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _extra(scene: Scene, rng: np.random.Generator) -> Scene:
-    p = _points(scene)
+    p = scene.points
     while True:
         place = np.append(rng.uniform(-0.12, 0.12, 2), 0.0)
         if np.linalg.norm(p.positions - place, axis=1).min() > 0.05:
@@ -134,22 +135,18 @@ def _extra(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _occluded(scene: Scene, rng: np.random.Generator) -> Scene:
-    return _with_points(scene, replace(_points(scene), aspect_floor=0.0, aspect_width_rad=np.deg2rad(180.0)))
+    return _with_points(scene, replace(scene.points, aspect_floor=0.0, aspect_width_rad=np.deg2rad(180.0)))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class HiddenPoints(Points):
-    """Reflectors of which each is hidden from antennas within half an angle of a direction.
-
-    Both are attributes set after it is made: `hidden_rad` (n,) and `half_rad`.
-    """
+    """Reflectors, each hidden from antennas within `half_rad` of its direction `hidden_rad` (n,)."""
 
     hidden_rad: np.ndarray
     half_rad: float
 
     def single(self, index: int) -> Points:
-        item = super().single(index)
-        object.__setattr__(item, "hidden_rad", self.hidden_rad[index : index + 1])
-        return item
+        return replace(super().single(index), hidden_rad=self.hidden_rad[index : index + 1])
 
     def returns(self, antennas: np.ndarray) -> Returns:
         seen = super().returns(antennas)
@@ -159,35 +156,30 @@ class HiddenPoints(Points):
 
 
 def _hidden(scene: Scene, directions: np.ndarray, width_deg: float) -> Scene:
-    p = _points(scene)
-    hidden = HiddenPoints(p.positions, p.amplitudes, p.facing_rad, p.aspect_width_rad, p.aspect_floor)
-    object.__setattr__(hidden, "hidden_rad", directions)
-    object.__setattr__(hidden, "half_rad", np.deg2rad(width_deg / 2))
-    return _with_points(scene, hidden)
+    half_rad = np.deg2rad(width_deg / 2)
+    return _with_points(scene, HiddenPoints(**vars(scene.points), hidden_rad=directions, half_rad=half_rad))
 
 
 def _opaque(half_width_deg: float) -> Callable[[Scene, np.random.Generator], Scene]:
     """A hard edge: seen to this angle from the outward side; a reflector on the axis from everywhere."""
 
     def twist(scene: Scene, rng: np.random.Generator) -> Scene:
-        facing = _points(scene).facing_rad
-        assert facing is not None
+        facing = scene.points.facing_rad
         return _hidden(scene, facing + np.pi, 360 - 2 * half_width_deg)
 
     return twist
 
 
 def _sector(scene: Scene, rng: np.random.Generator) -> Scene:
-    return _hidden(scene, np.full(len(_points(scene).positions), rng.uniform(0, 2 * np.pi)), 120.0)
+    return _hidden(scene, np.full(len(scene.points.positions), rng.uniform(0, 2 * np.pi)), 120.0)
 
 
 def _sectors(scene: Scene, rng: np.random.Generator) -> Scene:
-    return _hidden(scene, rng.uniform(0, 2 * np.pi, len(_points(scene).positions)), 90.0)
+    return _hidden(scene, rng.uniform(0, 2 * np.pi, len(scene.points.positions)), 90.0)
 
 
 def _askew(scene: Scene, rng: np.random.Generator) -> Scene:
-    p = _points(scene)
-    assert p.facing_rad is not None
+    p = scene.points
     facing = p.facing_rad + rng.uniform(-1, 1, len(p.positions)) * np.deg2rad(30.0)
     changed = replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
     return _with_points(scene, changed)
@@ -242,7 +234,7 @@ def record(condition: Condition, number: int) -> Recorded:
 
 
 def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> Recorded:
-    """The recording of a scene under a condition, with everything random drawn from a number."""
+    """The recording of a scene under a condition."""
     rng = np.random.default_rng([FIRST_SEED + number, 1])
     acquisition = drawn_acquisition(rng, condition.views, float(condition.snr_db))
     if condition.twist in ACQUISITION_TWISTS:
@@ -252,3 +244,16 @@ def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> 
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
     scans = preprocess(capture, PreprocessSettings(matched_filter=False, extent_m=0.3))
     return Recorded(capture, scans, name, truth.positions_m)
+
+
+def outcome_of(
+    capture: Capture, layouts: Sequence[Layout], name: str, signatures: Sequence[Signature] = ()
+) -> str:
+    """What `tagid identify` makes of a tag of this name: "named", "wrong" or "refused"."""
+    try:
+        answer = identify(capture, layouts, signatures=signatures)
+    except TagidError:
+        return "refused"
+    if answer.status != "identified" or answer.reading is None:
+        return "refused"
+    return "named" if answer.reading.layout == name else "wrong"

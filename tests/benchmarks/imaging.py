@@ -65,14 +65,6 @@ class Case(NamedTuple):
     step_deg: int = 1
 
 
-class Cell(NamedTuple):
-    """A case and a seed, seen by one row of the tables."""
-
-    case: Case
-    seed: int
-    row: str
-
-
 CASES = {
     "imaging-objects": tuple(Case(name, name) for name in OBJECTS),
     "imaging-skip-cans": tuple(Case(f"skip {s} deg", TWO_CANS, 360, s) for s in (10, 20, 30)),
@@ -85,24 +77,25 @@ def scene_of(case: Case, seed: int) -> Problem:
     """A tag on its object in a room, or an object seen with noise 20 dB under the peak."""
     if case.name in TAGS:
         return field_problem(case.name, seed)
-    return object_problem(case.name, np.arange(0, case.last_deg, case.step_deg), 20.0, seed)
+    return object_problem(case.name, np.arange(0, case.last_deg, case.step_deg), seed)
 
 
-def score(cell: Cell) -> dict[str, float]:
-    """The members of `TAG_COLUMNS` or of `OBJECT_COLUMNS`.
+def score(cell: tuple[Case, int, str]) -> dict[str, float]:
+    """A case of a seed as a row of the tables shows it: members of `TAG_COLUMNS` or of `OBJECT_COLUMNS`.
 
     The far-off peak is the brightest pixel farther than 4 cm from the outline, against the brightest one; a
     cylinder is seen where the brightest pixel within 2 cm of its surface is at most 10 dB down.
     """
-    problem = scene_of(cell.case, cell.seed)
-    image, seconds = problem.image(cell.row)
+    case, seed, row = cell
+    problem = scene_of(case, seed)
+    image, seconds = problem.image(row)
     scores = {
-        "held_out": held_out_percent(problem, cell.row),
-        "lpips": perceptual(image, problem.truth),
+        "held_out": held_out_percent(problem, row),
+        "lpips": perceptual(image.values, problem.truth),
         "psnr_db": psnr(image.values, problem.truth),
         "seconds": seconds,
     }
-    if cell.case.name in TAGS:
+    if case.name in TAGS:
         located = localise(pick_peaks(image, MOST_PEAKS), problem.points)
         detected = 100 * located.detected / len(problem.points)
         return {
@@ -111,7 +104,7 @@ def score(cell: Cell) -> dict[str, float]:
             "detected": detected,
             "false": float(located.false),
         }
-    thing = OBJECTS[cell.case.name]()
+    thing = OBJECTS[case.name]
     x, y = np.meshgrid(problem.grid.axis, problem.grid.axis)
     near = thing.outline(problem.grid, 0.04) > np.exp(-0.5)
     magnitude = np.abs(image.values) / max(float(np.abs(image.values).max()), 1e-30)
@@ -128,8 +121,8 @@ def scored(run: Run) -> Iterator[Table]:
     cases, kind = CASES[run.name], "tag" if run.name == "imaging-tags" else "object"
     columns = TAG_COLUMNS if kind == "tag" else OBJECT_COLUMNS
     rows, seeds = chosen(run, SHOWN), run.drawn(10)
-    cells = [Cell(case, seed, row) for row in rows for case in cases for seed in seeds]
-    scores = grouped(run.each(score, cells), lambda cell: (cell.case, cell.row))
+    cells = [(case, seed, row) for row in rows for case in cases for seed in seeds]
+    scores = grouped(run.each(score, cells), lambda cell: (cell[0], cell[2]))
     lines = []
     for case in cases:
         for row in (row for row in SHOWN if row in rows):
@@ -145,7 +138,6 @@ def scored(run: Run) -> Iterator[Table]:
 
 
 def _figure(problems: dict[str, Problem], folder: Path, name: str, truth: str = "truth") -> str:
-    """Draws the problems in every method."""
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
     picture_grid(pictures, extents, list(problems), [truth, *SHOWN], folder / f"{name}.png")

@@ -84,23 +84,17 @@ def score_points(cell: PointCell) -> dict[str, float]:
     else:
         (base, _), _, seconds = timed(lambda: problem.image(cell.row, bare=True))
     shown = restore(base, wavenumber) if sharp else base
-    scores = {"where_mm": float("nan"), "missed": float(len(problem.points)), "false": 0.0}
-    scores["amplitude_db"] = float("nan")
-    if np.any(base.values):
-        located = localise(pick_peaks(base, MOST_PEAKS), problem.points)
-        scores = {
-            "where_mm": 1e3 * located.rmse_m,
-            "missed": float(located.missed),
-            "false": float(located.false),
-        }
-        scores["amplitude_db"] = amplitude_error_db(shown, problem)
+    located = localise(pick_peaks(base, MOST_PEAKS), problem.points)
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
     return {
-        **scores,
+        "where_mm": 1e3 * located.rmse_m,
+        "missed": float(located.missed),
+        "false": float(located.false),
+        "amplitude_db": amplitude_error_db(shown, problem) if np.any(base.values) else float("nan"),
         "bound_mm": cramer_rao_mm(problem.points, cell.views, cell.noise, problem.amplitudes),
         "held_out": held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan"),
         "psnr_db": psnr(shown.values, truth),
-        "lpips": perceptual(shown, truth),
+        "lpips": perceptual(shown.values, truth),
         "seconds": seconds,
     }
 
@@ -168,40 +162,35 @@ def points(run: Run) -> Iterator[Table]:
     )
 
 
-class PaperCell(NamedTuple):
-    """So many reflectors, every so many degrees, seen by one row of the tables."""
-
-    count: int
-    skip_deg: int
-    seed: int
-    row: str
-
-
 SKIPS_DEG = (1, 10, 20, 30)
 
 
-def score_paper(cell: PaperCell) -> dict[str, float]:
-    """PSNR and LPIPS against points as wide as the beam, of pictures as every method shows them."""
-    problem = drawn_points(360 // cell.skip_deg, 0.316, cell.seed, cell.count)
+def score_paper(cell: tuple[int, int, int, str]) -> dict[str, float]:
+    """PSNR and LPIPS against points as wide as the beam, of pictures as every method shows them.
+
+    A cell is the number of reflectors, the degrees between views, the seed, and the row of the tables.
+    """
+    count, skip_deg, seed, row = cell
+    problem = drawn_points(360 // skip_deg, 0.316, seed, count)
     wavenumber = problem.scans(False).wavenumber
-    image, seconds = problem.image(cell.row)
+    image, seconds = problem.image(row)
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
     quality = psnr(image.values, truth)
-    return {"psnr": quality, "lpips": perceptual(image, truth), "seconds": seconds}
+    return {"psnr": quality, "lpips": perceptual(image.values, truth), "seconds": seconds}
 
 
 def paper(run: Run) -> Iterator[Table]:
     """The table and the skip angles of the paper: one to four reflectors in noise of variance 0.1."""
     seeds, rows, counts = run.drawn(10), chosen(run, ("BP", "FISTA", SLOW, "ATS field")), (1, 2, 3, 4)
     cells = [
-        PaperCell(count, skip, seed, row)
+        (count, skip, seed, row)
         for row in rows
         for count in counts
         for skip in SKIPS_DEG
         for seed in seeds
         if row != SLOW or seed == 0
     ]
-    scores = grouped(run.each(score_paper, cells), lambda c: (c.count, c.row, c.skip_deg))
+    scores = grouped(run.each(score_paper, cells), lambda c: (c[0], c[3], c[1]))
     lines = []
     for count in counts:
         for row in rows:
@@ -213,18 +202,11 @@ def paper(run: Run) -> Iterator[Table]:
     yield Table(columns, lines, note)
 
 
-class CloseCell(NamedTuple):
-    """Two reflectors so far apart, seen by one row of the tables."""
-
-    apart_mm: int
-    seed: int
-    row: str
-
-
-def score_close(cell: CloseCell) -> dict[str, float]:
-    """Whether exactly the two are seen, each within 8 mm, and how far off they are, mm."""
-    problem = close_points(36, 0.1, cell.seed, cell.apart_mm / 1000, FINE)
-    image, _ = problem.image(cell.row, bare=True)
+def score_close(cell: tuple[int, int, str]) -> dict[str, float]:
+    """Whether exactly two reflectors, so many mm apart, are seen, each within 8 mm, and how far off, mm."""
+    apart_mm, seed, row = cell
+    problem = close_points(36, 0.1, seed, apart_mm / 1000, FINE)
+    image, _ = problem.image(row, bare=True)
     located = localise(local_maxima(image), problem.points, 0.008)
     resolved = float(located.missed == 0 and located.false == 0)
     return {"resolved": resolved, "where_mm": located.rmse_m * 1e3 if resolved else float("nan")}
@@ -247,8 +229,8 @@ def resolution(run: Run) -> Iterator[Table]:
     """Two equal reflectors 15 to 30 mm apart, 36 views, noise 0.1, pixels of 3.6 mm."""
     seeds = run.drawn(10)
     rows = chosen(run, tuple(row for row in ROWS if row != "blank"))
-    cells = [CloseCell(apart, seed, row) for row in rows for apart in APART_MM for seed in seeds]
-    scores = grouped(run.each(score_close, cells), lambda c: (c.row, c.apart_mm))
+    cells = [(apart, seed, row) for row in rows for apart in APART_MM for seed in seeds]
+    scores = grouped(run.each(score_close, cells), lambda c: (c[2], c[0]))
     lines = []
     for row in (row for row in ROWS if row in rows):
         line = [row, str(len(seeds))]

@@ -6,9 +6,9 @@ Shared by all imaging experiments, so that every table has the same rows and mea
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,7 @@ from tagid.simulate import (
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
 from tests.benchmarks.electromagnetic import ConductingCylinder, cardboard_box, metal_box
+from tests.benchmarks.identification_scenes import least_gap_m
 from tests.benchmarks.measure import timed
 from tests.benchmarks.provenance import SHARED
 from tests.benchmarks.run import Run
@@ -42,7 +43,8 @@ from train.metrics import blank, lpips, truth_image
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0
 FIRST_SEED = 20_000
-LPIPS_MODEL = SHARED / "data" / "lpips" / "lpips_sq.onnx"
+perceptual = partial(lpips, model=SHARED / "data" / "lpips" / "lpips_sq.onnx")
+"""LPIPS of the values of an image against the drawn truth."""
 
 
 class Row(NamedTuple):
@@ -72,13 +74,11 @@ SLOW = "ATS paper"
 
 
 def is_sharp(row: str) -> bool:
-    """Whether a row of the tables is shown with the restoring beam."""
     method, preset, _ = ROWS.get(row, ROWS["blank"])
     return bool(method) and METHODS[method].sparse and preset != "paper"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which rows are computed."""
     parser.add_argument("--rows", help="these methods alone, e.g. 'BP,ATS field'")
 
 
@@ -90,14 +90,11 @@ def chosen(run: Run, rows: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One scene as every method gets it.
+    """One scene as every method gets it; the seed is of methods with random weights.
 
     Attributes:
-        capture: the recording; its axis distance is the true one unless an experiment says otherwise.
-        grid: pixels of all methods.
         truth: (pixels, pixels) what the magnitude should look like.
         points, amplitudes: (n, 2) m and (n,) complex, true ones; empty for extended objects.
-        seed: of methods with random weights.
         background: what is removed from the scans before imaging; point scenes hold no clutter.
         made: images made already, before the restoring beam.
     """
@@ -112,7 +109,6 @@ class Problem:
     made: dict[Row, tuple[Image, float]] = field(default_factory=dict)
 
     def scans(self, matched: bool) -> BasebandScans:
-        """Scans with or without matched filter."""
         settings = PreprocessSettings(self.background, matched, extent_m=self.grid.extent)
         return preprocess(self.capture, settings=settings)
 
@@ -123,20 +119,13 @@ class Problem:
             return blank(self.grid), 0.0
         scans = self.scans(METHODS[method].matched_filter)
         if made_by not in self.made:
-            how = (method, self.seed, preset or "field")
-            image, _, seconds = timed(
-                lambda: make_image(scans, self.grid, *how, ats=AtsSettings(steps=steps))
-            )
+            how = (scans, self.grid, method, self.seed, preset or "field")
+            image, _, seconds = timed(partial(make_image, *how, ats=AtsSettings(steps=steps)))
             self.made[made_by] = image, seconds
         image, seconds = self.made[made_by]
         if is_sharp(row) and not bare:
             image = restore(image, scans.wavenumber)
         return image, seconds
-
-
-def perceptual(image: Image, truth: np.ndarray) -> float:
-    """LPIPS against the drawn truth; nan where its model is not at hand."""
-    return lpips(image.values, truth, LPIPS_MODEL) if LPIPS_MODEL.is_file() else float("nan")
 
 
 def echoes(points: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
@@ -186,8 +175,7 @@ def drawn_points(views: int, noise: float, seed: int, count: int | None = None) 
     count = 2 + seed % 3 if count is None else count
     while True:
         points = rng.uniform(-0.22, 0.22, (count, 2))
-        apart = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
-        if apart.min() > 0.05:
+        if least_gap_m(points) > 0.05:
             break
     amplitudes = rng.uniform(0.5, 1, count) * np.exp(2j * np.pi * rng.random(count))
     return point_problem(points, views, noise, rng, amplitudes=amplitudes)
@@ -202,9 +190,6 @@ def held_out_percent(problem: Problem, row: str) -> float:
     if not method or preset == "paper" or method == "range-doppler":
         return float("nan")
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
-    if method in ("bp", "bp-raw"):
-        checked = check(scans, raw, problem.grid, None)
-        return 100 * checked["residual"] if checked is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
     prior = Prior.of(facts)
@@ -220,7 +205,8 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return fit(every, problem.grid, replace(ats, seed=problem.seed), unseen=unseen).held_out
 
     field = method == "ats" and prior.field
-    checked = check(scans, raw, problem.grid, make, predicted if field else None)
+    fitted = method not in ("bp", "bp-raw")
+    checked = check(scans, raw, problem.grid, make if fitted else None, predicted if field else None)
     return 100 * checked["residual"] if checked is not None else float("nan")
 
 
@@ -269,13 +255,9 @@ CAN, BOTTLE = (0.033, 0.122), (0.033, 0.2)
 
 
 class Object(NamedTuple):
-    """An extended object: bodies, the outline that reflects, and the side of its image.
+    """An extended object: bodies for the simulator, the outline that reflects, the side of its image, m.
 
-    Attributes:
-        bodies: for the simulator.
-        circles: (x, y, radius) of cylinders, m.
-        squares: sides of squares about the origin, m.
-        extent_m: side of the image, m.
+    The outline is circles (x, y, radius) and sides of squares about the origin, m.
     """
 
     bodies: tuple[object, ...]
@@ -307,16 +289,16 @@ def _pair(shape: tuple[float, float], apart_m: float, extent_m: float) -> Object
     return Object(bodies, tuple((x, 0.0, shape[0]) for x in places), (), extent_m)
 
 
-OBJECTS: dict[str, Callable[[], Object]] = {
-    "can in a cardboard box": lambda: Object(
+OBJECTS = {
+    "can in a cardboard box": Object(
         (ConductingCylinder(*CAN, (0.0, 0.0)), *cardboard_box(0.25, 0.25)),
         ((0.0, 0.0, CAN[0]),),
         (0.25,),
         0.5,
     ),
-    "two bottles 17.78 cm apart": lambda: _pair(BOTTLE, 0.1778, 0.5),
-    "two cans 68.58 cm apart": lambda: _pair(CAN, 0.6858, 1.0),
-    "metal box of 24.13 cm": lambda: Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
+    "two bottles 17.78 cm apart": _pair(BOTTLE, 0.1778, 0.5),
+    "two cans 68.58 cm apart": _pair(CAN, 0.6858, 1.0),
+    "metal box of 24.13 cm": Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
 }
 
 
@@ -324,18 +306,18 @@ OBJECTS: dict[str, Callable[[], Object]] = {
 def _object_echo(name: str) -> tuple[Capture, float]:
     """A whole turn of 360 scans of an object without noise, and the peak of its envelope."""
     acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, recording=Recording("float32"))
-    capture, truth = record_scene(Scene("object", OBJECTS[name]().bodies), acquisition)
+    capture, truth = record_scene(Scene("object", OBJECTS[name].bodies), acquisition)
     return capture, truth.levels.reflector
 
 
-def object_problem(name: str, angles_deg: np.ndarray, snr_db: float, seed: int) -> Problem:
-    """A recording of an object at some angles (degrees) of a whole turn; the seed draws the noise."""
+def object_problem(name: str, angles_deg: np.ndarray, seed: int) -> Problem:
+    """An object at some angles, degrees, of a whole turn, at 20 dB; the seed draws the noise."""
     whole, peak = _object_echo(name)
     rng = np.random.default_rng([FIRST_SEED + seed, 71])
-    noise = peak * 10 ** (-snr_db / 20) * rng.standard_normal(whole.samples.shape)
+    noise = peak * 10 ** (-20.0 / 20) * rng.standard_normal(whole.samples.shape)
     capture = replace(whole, samples=(whole.samples + noise).astype(np.float32))
     chosen = capture.select(np.asarray(angles_deg, dtype=np.intp))
-    thing = OBJECTS[name]()
+    thing = OBJECTS[name]
     return Problem(chosen, thing.grid, thing.outline(thing.grid), seed=seed)
 
 

@@ -63,7 +63,6 @@ def recover(cell: Cell) -> Recovered:
     raw, matched = problem.scans(False), problem.scans(True)
     sharp, focus = focus_axis_distance(raw, problem.grid, 0.04)
     focused = matched.with_aperture(sharp.aperture)
-    assert focus.axis_distance_m is not None
     what = ("axis", "wobble") if cell.wobble else ("axis",)
     plain = fit(raw, problem.grid, AtsSettings())
     ahead = fit(sharp, problem.grid, AtsSettings())
@@ -267,9 +266,8 @@ def rail_capture(cell: RailCell) -> tuple[Capture, float]:
     samples = 0.1 * rng.standard_normal((600, 960))
     for amplitude, point in zip((1.0, 0.7), RAIL_POINTS, strict=True):
         distance = np.linalg.norm(antenna - np.append(point, 0.0), axis=1) + delay
-        samples += (
-            amplitude * pulse_at(nominal_pulse(), 2 * (ranges - distance[:, None]) / SPEED_OF_LIGHT).real
-        )
+        delays = 2 * (ranges - distance[:, None]) / SPEED_OF_LIGHT
+        samples += amplitude * pulse_at(nominal_pulse(), delays).real
     return Capture(samples.astype(np.float32), 0.0, RANGE_STEP_M, antenna_positions_m=antenna), delay
 
 
@@ -290,7 +288,6 @@ def score_rail(cell: RailCell) -> dict[str, float]:
         result, _, seconds = timed(lambda: image_rail(cell))
     except DataError:
         return {"delay_mm": np.nan, "detected": 0.0, "where_mm": np.nan, "seconds": np.nan, "refused": 1.0}
-    assert result.region is not None
     focus, image = result.region.focus, result.image
     located = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
     return {

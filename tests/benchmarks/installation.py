@@ -50,12 +50,10 @@ def packages(site: Path) -> Counter[str]:
 
 
 def sizes_options(parser: argparse.ArgumentParser) -> None:
-    """What is installed."""
     parser.add_argument("wheel", type=Path)
 
 
 def sizes(run: Run) -> Iterator[Table]:
-    """A row for each large package."""
     wheel, folder = run.options.wheel.resolve(), run.folder / "environment"
     venv.create(folder, with_pip=True)
     words = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", str(wheel))
@@ -117,7 +115,6 @@ def cost(words: Sequence[str], folder: Path, environment: dict[str, str]) -> tup
 
 
 def starts(run: Run) -> Iterator[Table]:
-    """A row for each command."""
     run.seeds = "0"
     # Byte code is compiled once, as in any installation, whatever the surroundings say of it.
     kept = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}

@@ -43,7 +43,6 @@ COLUMNS = (
 
 
 def frames(run: Run) -> Iterator[Table]:
-    """A row for every scan: a whole turn with a live view."""
     run.seeds = "the emulator's default, 0"
     repeats = run.number(2)
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -59,7 +58,6 @@ def frames(run: Run) -> Iterator[Table]:
 
 
 def scan(url: str, motion_url: str, integration: int, folder: Path) -> tuple[object, ...]:
-    """One scan with a live view, and its figures."""
     known = Registry(folder / "registry.sqlite").contents()
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=integration))
     motion = open_motion(motion_url)
@@ -78,7 +76,6 @@ def scan(url: str, motion_url: str, integration: int, folder: Path) -> tuple[obj
         prepared = PreparedCapture(load_capture(capture))
         answer = identify(prepared, known.layouts)
         view.settle(prepared.given, answer)
-    assert capture.radar_time_ms is not None
     seconds = float(np.ptp(capture.radar_time_ms)) * 1e-3
     rate = round((len(during) - 1) / (during[-1] - during[0]), 2) if during[1:] else "-"
     named = view.state.answer.reading.layout if view.state.answer and view.state.answer.reading else "none"

@@ -8,18 +8,17 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 
 @contextlib.contextmanager
-def started(words: Sequence[str], environment: Mapping[str, str] | None = None) -> Iterator[dict[str, Any]]:
+def started(words: Sequence[str]) -> Iterator[dict[str, Any]]:
     """`tagid` with some words, and the data of the result by which it says that it is ready."""
     command = [sys.executable, "-m", "tagid", *words, "--output", "json"]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
             yield json.loads(process.stdout.readline())["data"]
         finally:
             process.terminate()

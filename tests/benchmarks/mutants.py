@@ -69,7 +69,6 @@ class Result(NamedTuple):
 
 
 def load() -> list[Module]:
-    """The modules of `FILE`."""
     return [
         Module(item["file"], item["tests"], [Mutant(*mutant) for mutant in item["mutants"]])
         for item in tomllib.loads(FILE.read_text(encoding="utf-8"))["module"]
@@ -77,12 +76,10 @@ def load() -> list[Module]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which modules."""
     parser.add_argument("words", nargs="*", help="only modules whose path contains one of these")
 
 
 def faults(run: Run) -> Iterator[Table]:
-    """Faults by package, those that survive, and those that a test notices."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     words = run.options.words or (["storage/units"] if run.quick else [])
     modules = [m for m in load() if not words or any(word in m.file for word in words)]
@@ -162,7 +159,7 @@ def try_all(copy: Path, module: Module) -> list[Result]:
             remark = mutant.reason if survived else tests[0] if tests else f"the limit of {limit_s:.0f} s"
             results.append(Result(module.file, mutant, not survived, remark))
         state = "killed" if results[-1].killed else "SURVIVED"
-        print(f"{state} {module.file}: {one_line(mutant.now)}: {results[-1].remark}", file=sys.stderr)
+        print(f"{state} {module.file}: {code(mutant.now)}: {results[-1].remark}", file=sys.stderr)
     write(path, source)
     return results
 
@@ -199,7 +196,6 @@ def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[bool, str]:
 
 
 def report(results: list[Result]) -> Iterator[Table]:
-    """The tables, of the last run of each module."""
     rows = []
     for package, group in itertools.groupby(results, key=lambda result: result.file.split("/")[1]):
         outcome = list(group)
@@ -216,9 +212,5 @@ def report(results: list[Result]) -> Iterator[Table]:
         yield Table(f"file | was | fault | {column}", lines, f"{name.capitalize()}:", name)
 
 
-def one_line(text: str) -> str:
-    return " ".join(text.split())
-
-
 def code(text: str) -> str:
-    return f"`` {one_line(text)} ``"
+    return f"`` {' '.join(text.split())} ``"

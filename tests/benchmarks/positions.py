@@ -23,11 +23,9 @@ import numpy as np
 from tagid.enrolling.averaging import position_covariances
 from tagid.enrolling.field import MatchedField
 from tagid.enrolling.reflectors import refine_positions
-from tagid.errors import TagidError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.motion.turntable import OVERLAP_TURNS
-from tagid.pipeline.identify import identify
 from tagid.planning.plan import Setup, planned_snr_db
 from tagid.radar.settings import RadarConfig
 from tagid.reading.views import fold_views
@@ -39,7 +37,6 @@ from tagid.simulate import (
     ReflectorSpec,
     Wobble,
     parse_body,
-    parse_reflector,
     simulate_capture,
 )
 from tagid.simulate.budget import LinkBudget
@@ -51,10 +48,11 @@ from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.layouts.objects import builtin_objects
-from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_scene, record_scene
+from tests.benchmarks.identification_scenes import FIRST_SEED, Condition, draw_scene, outcome_of, record_scene
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, column, grouped, rms
 
+LAYOUTS = builtin_layouts()
 CONDITIONS = ((36, 20), (36, 10), (36, 0), (12, 10))
 ENROLLED = ("helmet-16", "mug-8")
 RADIUS_M = 0.18
@@ -66,7 +64,6 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
     The handle is a point of 0.1 to 0.5 of a reflector 20 to 40 mm outside the shell, the rim an arc of 20 to
     60 degrees of points of 0.03 to 0.15 each on it.
     """
-    assert scene.points is not None
     radius = max(0.02, float(np.linalg.norm(scene.points.positions[:, :2], axis=1).max()) - 0.02)
     off, turn = rng.uniform(0, 0.006), rng.uniform(0, 2 * np.pi)
     shell = Cylinder(radius, 0.5, (off * np.cos(turn), off * np.sin(turn)))
@@ -79,15 +76,7 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 class Recording(NamedTuple):
-    """A recording of one object.
-
-    Attributes:
-        enrolled: the set of layouts that the object is drawn from.
-        own_echoes: whether its body echoes, too.
-        views, snr_db: of the recording.
-        number: of the object.
-        again: of the recording of that object, from 0.
-    """
+    """The so many-th recording of a numbered object of a set of layouts, whose body may echo, too."""
 
     enrolled: str
     own_echoes: bool
@@ -107,7 +96,6 @@ def errors(recording: Recording) -> dict[str, list[list[float]]]:
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     refined_spots, _ = refine_positions(field, recorded.positions[:, :2])
-    assert scene.points is not None
     object_frame = scene.points.positions[:, :2]
     pair = best_pairing(refined_spots, object_frame)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
@@ -165,51 +153,34 @@ helmet, enrolled without others of their kind. {wrong}"""
 
 @cache
 def designed() -> dict[str, Layout]:
-    """The designed set."""
     family = design(builtin_objects()["helmet"], DesignRules(), DESIGNED, "designed")
     return {layout.name: layout for layout in family.layouts}
-
-
-def tags() -> list[tuple[str, str]]:
-    """Layout and body of every row."""
-    bodies = {name: "helmet" if name.startswith("helmet") else "can:35mm" for name in builtin_layouts()}
-    bare = [(name, "none") for name in (*bodies, *designed())]
-    return bare + list(bodies.items())
-
-
-def displaced(layout: Layout, distance_m: float, rng: np.random.Generator) -> Layout:
-    """The layout with every reflector moved by a distance in a random direction."""
-    turn = rng.uniform(0, 2 * math.pi, layout.size)
-    moved = layout.positions + distance_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return replace(layout, positions=moved, symmetry=0)
 
 
 def reading(job: tuple[int, str, str, int]) -> dict[str, str]:
     """The outcome of a tag, of its number, layout, body, and the distance in mm: named, wrong or refused."""
     number, name, body, distance_mm = job
-    enrolled = builtin_layouts() if name in builtin_layouts() else designed()
+    enrolled = LAYOUTS if name in LAYOUTS else designed()
     rng = np.random.default_rng([FIRST_GLUED, number])
-    glued = displaced(enrolled[name], distance_mm * 1e-3, rng)
+    layout = enrolled[name]
+    turn = rng.uniform(0, 2 * math.pi, layout.size)
+    moved = layout.positions + distance_mm * 1e-3 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    glued = replace(layout, positions=moved, symmetry=0)
     seed = FIRST_GLUED + number
-    reflector = parse_reflector("octahedron:40mm")
+    reflector = ReflectorSpec("octahedron", 0.04)
     scene = scene_on_body(name, parse_body(body), reflector, seed, layouts={name: glued})
     off, turn = 0.004 * math.sqrt(rng.uniform()), rng.uniform(0, 2 * math.pi)
     placement = Placement((off * math.cos(turn), off * math.sin(turn)), rng.uniform(0, 2 * math.pi))
     acquisition = Acquisition(views=VIEWS, snr_db=SNR_DB, placement=placement, wobble=Wobble(speed=0.005))
     capture, _ = simulate_capture(scene, acquisition, seed)
-    try:
-        answer = identify(capture, list(enrolled.values()))
-    except TagidError:
-        return {"outcome": "refused"}
-    if answer.status != "identified" or answer.reading is None:
-        return {"outcome": "refused"}
-    return {"outcome": "named" if answer.reading.layout == name else "wrong"}
+    return {"outcome": outcome_of(capture, list(enrolled.values()), name)}
 
 
 def names(run: Run) -> Iterator[Table]:
-    """A row for every layout."""
     numbers = run.drawn(20, first=FIRST_GLUED)
-    shown = tags()[: 1 if run.quick else None]
+    bodies = {name: "helmet" if name.startswith("helmet") else "can:35mm" for name in LAYOUTS}
+    tags = [*((name, "none") for name in (*bodies, *designed())), *bodies.items()]
+    shown = tags[: 1 if run.quick else None]
     jobs = [(n, *tag, d) for n in range(len(numbers)) for tag in shown for d in DISTANCES_MM]
     results = run.each(reading, jobs)
     outcomes = grouped(results, lambda job: job[1:])
@@ -224,7 +195,6 @@ def names(run: Run) -> Iterator[Table]:
     yield Table(columns, rows, note)
 
 
-LAYOUTS = builtin_layouts()
 PLANNED = (
     ("container-180", "none"),
     ("container-90", "can:35mm"),
@@ -254,12 +224,13 @@ class Case(NamedTuple):
     seed: int
 
     def planned_db(self) -> float:
-        """By `tagid plan`."""
-        reflector, budget = (
-            ReflectorSpec("octahedron", self.size_mm * 1e-3),
+        reflector = ReflectorSpec("octahedron", self.size_mm * 1e-3)
+        where = (
+            parse_body(self.body),
+            self.distance_m,
+            60 / PERIOD_S,
             LinkBudget(integration=self.integration),
         )
-        where = (parse_body(self.body), self.distance_m, 60 / PERIOD_S, budget)
         return planned_snr_db(Setup(LAYOUTS[self.layout], reflector, *where))
 
     def measured_db(self) -> float | None:
@@ -282,12 +253,10 @@ class Case(NamedTuple):
 
 
 def level(planned_db: float) -> str:
-    """The row of the table to which a case belongs."""
     return next((f"below {top} dB" for top in (5, 15, 25, 35) if planned_db < top), "35 dB and more")
 
 
 def differences(run: Run) -> Iterator[Table]:
-    """Measured less planned SNR, by object and by planned SNR."""
     count = run.number(80, 6)
     run.seeds = f"{SEED} for the {count} cases drawn, one scene of its own per case"
     grid = list(product(PLANNED, SIZES_MM, DISTANCES_M, INDICES))

@@ -7,8 +7,10 @@ import platform
 import subprocess
 import sys
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
@@ -43,13 +45,8 @@ def command() -> str:
 
 
 def machine() -> str:
-    """Processor, cores and load, Python and numpy."""
-    try:
-        numpy = f"numpy {version('numpy')}"
-    except PackageNotFoundError:
-        numpy = "no numpy"
     cores = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
-    return f"{platform.machine()}, {cores}, Python {platform.python_version()}, {numpy}"
+    return f"{platform.machine()}, {cores}, Python {platform.python_version()}, numpy {version('numpy')}"
 
 
 def made_with(seeds: str) -> list[str]:
@@ -59,3 +56,11 @@ def made_with(seeds: str) -> list[str]:
         f"Machine: {machine()}.",
         f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {seeds}.",
     ]
+
+
+def imported(path: Path) -> Any:
+    """A module of a file that no package holds."""
+    spec = spec_from_file_location(path.stem, path)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading.reader import read
 from tests.benchmarks.measure import timed
-from tests.benchmarks.readers_scenes import SEEDS, YARDSTICKS, Scene, drawn
+from tests.benchmarks.readers_scenes import SEEDS, YARDSTICKS, drawn
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table, column, counted
 
@@ -38,11 +37,8 @@ def answered(job: tuple[str, int, str]) -> Answer:
     """The reader's answer to a scene of a yardstick, a round and a key; empty if there is no such scene."""
     yardstick, turn, key = job
     scene = drawn(yardstick, turn)[key]()
-    return {} if scene is None else answer_to(scene)
-
-
-def answer_to(scene: Scene) -> Answer:
-    """The reader's answer to a scene."""
+    if scene is None:
+        return {}
     scans = preprocess(scene.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     given: Answer = {"group": scene.group, "truth": scene.truth, "name": None, "lead": None}
 
@@ -51,7 +47,7 @@ def answer_to(scene: Scene) -> Answer:
             reading = read(scans, scene.layouts, signatures=scene.signatures)
         except TagidError as error:
             return f"failed: {error.code}"
-        given["lead"] = round(reading.lead, 2) if math.isfinite(reading.lead) else None
+        given["lead"] = round(reading.lead, 2)
         if reading.status != "identified":
             return reading.code.value or reading.status
         given["name"] = reading.layout
@@ -92,7 +88,6 @@ def _cells(some: Sequence[Answer]) -> list[object]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which scenes are read."""
     parser.add_argument("yardsticks", nargs="*", choices=[*YARDSTICKS, []], help="default: all")
     parser.add_argument("--rounds", type=int, default=1, help="rounds of scenes, each of other seeds")
 

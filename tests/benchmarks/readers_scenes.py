@@ -28,10 +28,11 @@ from tests.benchmarks import (
     solved_objects,
     unseen_scenes,
 )
+from tests.benchmarks.fullwave_scenes import NAMES
+from tests.benchmarks.provenance import ROOT
 from tests.benchmarks.reading_bodies_scenes import Cell
 from train import population, volume_objects
 
-ROOT = Path(__file__).resolve().parents[2]
 SOLVED = Path(os.environ.get("TAGID_SOLVED", ROOT / "build" / "unseen"))
 BUILTIN = tuple(builtin_layouts().values())
 FIRST_NULL, FIRST_READING_BODIES, FIRST_IDENTIFICATION = 6_000_000, 500, 1000
@@ -172,7 +173,7 @@ def _enrolled(s: enrolled_scenes.Scene) -> Scene:
     known = enrolled_scenes.OBJECTS if whole else enrolled_scenes.BODIES
     signatures = [_enrolled_one(name, "object" if whole else "body") for name in known]
     tag = s.solved.split("+")[-1].split("-")[0].split("_")[1:]
-    truth = bodies_scenes.NAMES[tag[0]] if s.name else None
+    truth = NAMES[tag[0]] if s.name else None
     capture = enrolled_scenes.capture_of(s.solved, where)
     return Scene(f"{s.part} enrolled", truth, BUILTIN, capture, signatures, s.name * whole)
 

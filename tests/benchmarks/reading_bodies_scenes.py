@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from functools import lru_cache
+from functools import cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,8 +33,8 @@ from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.bodies.joint import Named, enroll_signature
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout
-from tests.benchmarks.fullwave_scenes import recorded
-from tests.benchmarks.identification_scenes import SETS, is_foreign, least_gap_m
+from tests.benchmarks.fullwave_scenes import NAMES, recorded
+from tests.benchmarks.identification_scenes import SETS, in_space, is_foreign, least_gap_m
 from tests.benchmarks.provenance import SHARED
 
 POPULATION = "reading-bodies/development/1"
@@ -46,12 +47,7 @@ VIEWS = (72, 36, 18, 12)
 PULSES = ("nominal", "measured")
 
 FULL_WAVE = {
-    ("tagged", "none"): {
-        **{f"free{d}_c90": "container-90" for d in (20, 40)},
-        **{f"free{d}_c180": "container-180" for d in (20, 40)},
-        **{f"free{d}_h120": "helmet-120" for d in (20, 40)},
-        **{f"free{d}_lin": "helmet-linear" for d in (20, 40)},
-    },
+    ("tagged", "none"): {f"free{size}_{kind}": name for kind, name in NAMES.items() for size in (20, 40)},
     ("tagged", "can"): {"can35_c90": "container-90", "can28_c180": "container-180"},
     ("tagged", "helmet"): {"shell_h120_20": "helmet-120", "shell_h120_40": "helmet-120"},
     ("foreign", "none"): {"free20_one": "", "free40_one": ""},
@@ -65,17 +61,8 @@ the set's layouts, which is left out of the registry for that scene."""
 
 
 class Cell(NamedTuple):
-    """One cell of the grid.
-
-    Attributes:
-        world: "own" or "full-wave".
-        group: tagged, foreign or untagged.
-        enrolled: name of the set of enrolled layouts.
-        body: one of BODIES.
-        offset_mm: distance of the object from the rotation axis, in a random direction.
-        snr_db, views: of the recording.
-        pulse: one of PULSES; the capture states neither.
-    """
+    """One cell of the grid: `enrolled` of `identification_scenes.SETS`, the object off the axis in a random
+    direction, one of PULSES, which no capture states."""
 
     world: str
     group: str
@@ -112,7 +99,7 @@ def _generator(cell: Cell, number: int) -> np.random.Generator:
     )
 
 
-@lru_cache(maxsize=1)
+@cache
 def _measured_pulses() -> dict[str, Pulse]:
     """Pulses recorded with P440 radars, by name."""
     with np.load(SHARED / "data" / "p440" / "pulse.npz", allow_pickle=False) as file:
@@ -174,11 +161,6 @@ class _Object(NamedTuple):
     room: StaticReturns
 
 
-def _in_space(layout: Layout) -> np.ndarray:
-    """(K, 3) reflectors, m."""
-    return np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
-
-
 def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
     fitting = _layouts_for(cell)
     layout = fitting[int(rng.integers(len(fitting)))]
@@ -186,7 +168,7 @@ def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
     body = _body_text(cell.body, size_mm, rng)
     name, positions = "", np.zeros((0, 3))
     if cell.group == "tagged":
-        name, positions = layout.name, _in_space(layout)
+        name, positions = layout.name, in_space(layout)
     elif cell.group == "foreign":
         positions = _foreign(cell, rng)
     ring = rng.normal(0, 0.5e-3, 2)
@@ -247,7 +229,7 @@ def signature_of(cell: Cell, number: int, name: str, kind: SignatureKind) -> Sig
     positions = np.zeros((0, 3))
     if tagged:
         fitting = _layouts_for(cell)
-        positions = made.positions if made.name else _in_space(fitting[number % len(fitting)])
+        positions = made.positions if made.name else in_space(fitting[number % len(fitting)])
     shown = _scene(made, "tagged" if tagged else "untagged", positions, rng)
     captures: list[Named] = []
     for off in (2e-3, 4e-3, 6e-3):
@@ -290,29 +272,16 @@ def cells(worlds: tuple[str, ...]) -> list[Cell]:
     """The grid: tagged objects in full, the others at 36 views."""
     grid = []
     for world in worlds:
-        bodies = BODIES if world == "own" else FULL_WAVE_BODIES
-        for body in bodies:
+        for body in BODIES if world == "own" else FULL_WAVE_BODIES:
+            every = product(OFFSETS_MM, SNRS_DB, VIEWS, PULSES)
+            grid += [Cell(world, "tagged", "paper", body, *how) for how in every]
             grid += [
-                Cell(world, "tagged", "paper", body, offset, snr, views, pulse)
-                for offset in OFFSETS_MM
-                for snr in SNRS_DB
-                for views in VIEWS
-                for pulse in PULSES
-            ]
-            grid += [
-                Cell(world, group, "paper", body, offset, snr, 36, pulse)
-                for group in ("foreign", "untagged")
-                for offset in (0, 6)
-                for snr in (20, 10)
-                for pulse in PULSES
+                Cell(world, group, "paper", body, *how)
+                for group, *how in product(("foreign", "untagged"), (0, 6), (20, 10), (36,), PULSES)
                 if world == "own" or (group, body) in FULL_WAVE
             ]
     if "own" in worlds:
         designed = (("helmet-16", "helmet"), ("mug-8", "cup"))
-        grid += [
-            Cell("own", "tagged", enrolled, body, offset, snr, 36, "nominal")
-            for enrolled, body in designed
-            for offset in (0, 6)
-            for snr in SNRS_DB
-        ]
+        every = product(designed, (0, 6), SNRS_DB)
+        grid += [Cell("own", "tagged", *on, offset, snr, 36, "nominal") for on, offset, snr in every]
     return grid

@@ -55,7 +55,6 @@ class Noise:
         self._table = np.random.default_rng(0).integers(-3000, 3000, (64, 8400)).astype(np.int32)
 
     def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
-        """The scan of a number."""
         return self._table[index % 64, : config.samples]
 
 
@@ -96,7 +95,7 @@ def measure(name: str, seconds: float, run: Run) -> tuple[object, ...]:
                         break
                 cpu, wall = time.process_time() - cpu, time.monotonic() - wall
                 grown = memory_mb() - (settled or 0.0)
-                scans.close()  # type: ignore[attr-defined]
+                scans.close()
             lost, dropped = radar.statistics.lost_scans, queue.dropped
     finally:
         server.terminate()
@@ -111,13 +110,11 @@ def measure(name: str, seconds: float, run: Run) -> tuple[object, ...]:
 
 
 def capture_options(parser: argparse.ArgumentParser) -> None:
-    """Those of `measure`."""
     parser.add_argument("--seconds", type=float, help="of the radar's clock; 60, or 5 for a look")
     parser.add_argument("--only", choices=tuple(SETTINGS))
 
 
 def capture(run: Run) -> Iterator[Table]:
-    """A row for each setting."""
     given = run.options
     run.seeds = "one run each"
     seconds = given.seconds or (5.0 if run.quick else 60.0)
@@ -161,7 +158,6 @@ def watch(url: str, seconds: float, terminal: tuple[int, int, bool]) -> tuple[di
 
 
 def monitor(run: Run) -> Iterator[Table]:
-    """A row for each setting and terminal."""
     run.seeds = "one run"
     rows = []
     with started(["emulate", "p440", "--bind", "127.0.0.1:0"]) as emulator:
@@ -203,7 +199,6 @@ def convert(scans: int) -> tuple[object, ...]:
 
 
 def sizes(run: Run) -> Iterator[Table]:
-    """A row a size."""
     run.seeds = "one run"
     columns = (
         "scans of 1152 samples | journal (MB) | files of 128 MiB | memory before (MB) | at most (MB) | "

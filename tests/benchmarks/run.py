@@ -7,16 +7,14 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tests.benchmarks.provenance import commit
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 SHOWN_S = 10.0
 """Time between two lines of progress, s."""
 
@@ -67,24 +65,26 @@ class Run:
         """A line of progress."""
         print(text, file=sys.stderr, flush=True)
 
-    def each(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> dict[Job, Result]:
+    def each(self, work: Callable[[Any], Any], jobs: Sequence[Any]) -> dict[Any, Any]:
         """work(job) of every job, in order; with `keep` those in the file are not done again.
 
         A job is a tuple of JSON values; results that are dictionaries of JSON values are kept. Members of
         later lines of one job replace those of earlier ones.
         """
-        done: dict[Job, Any] = self._kept(work.__name__, jobs)
+        done: dict[Any, Any] = self._kept(work.__name__, jobs)
         here = commit() if self.keep else ""
         rest = [job for job in jobs if job not in done]
         began = shown = time.monotonic()
         with ExitStack() as stack:
-            file = None
+            file, mapped = None, map
+            if self.jobs > 1:
+                mapped = stack.enter_context(multiprocessing.get_context("spawn").Pool(self.jobs)).imap
             if self.keep is not None:
                 self.keep.parent.mkdir(parents=True, exist_ok=True)
                 file = stack.enter_context(self.keep.open("a+"))
                 if file.tell() and not self.keep.read_text().endswith("\n"):
                     print(file=file)  # after the last line of a run that was stopped
-            for number, (job, result) in enumerate(zip(rest, self._results(work, rest, stack), strict=True)):
+            for number, (job, result) in enumerate(zip(rest, mapped(work, rest), strict=True)):
                 done[job] = result
                 if file is not None and isinstance(result, dict):
                     self.commits.add(here)
@@ -97,16 +97,9 @@ class Run:
                     shown = now
         return {job: done[job] for job in jobs}
 
-    def _results(
-        self, work: Callable[[Job], Result], jobs: Sequence[Job], stack: ExitStack
-    ) -> Iterator[Result]:
-        if self.jobs < 2:
-            return map(work, jobs)
-        return stack.enter_context(multiprocessing.get_context("spawn").Pool(self.jobs)).imap(work, jobs)
-
-    def _kept(self, name: str, jobs: Sequence[Job]) -> dict[Job, Any]:
+    def _kept(self, name: str, jobs: Sequence[Any]) -> dict[Any, Any]:
         """Results of the file, of these jobs."""
-        done: dict[Job, Any] = {}
+        done: dict[Any, Any] = {}
         if self.keep is None or not self.keep.exists():
             return done
         by_key = {json.dumps(job): job for job in jobs}

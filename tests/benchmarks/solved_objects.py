@@ -26,8 +26,6 @@ from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 from train.fullwave import Mesh, Sweep, shapes, solve_response
 
-LAYOUTS = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
-"""Ending of an object's name: the built-in layout that it carries. Any other ending carries none."""
 RESPONSES = Sweep(frequencies=21)
 """2.8 to 5.2 GHz in steps of 120 MHz: 1.25 m of depth, which holds all but -37 dB of a can's echo."""
 UNSEEN = Sweep(
@@ -68,7 +66,6 @@ class Object:
 
     @classmethod
     def of(cls, body: dict[str, Any] | None, numbers: list[Any]) -> Object:
-        """From the numbers of the file."""
         if not numbers:
             return cls(body)
         tip_mm, first, *rest = numbers
@@ -84,7 +81,6 @@ class Object:
         return 1e-3 * polar[:, :1] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
     def mesh(self) -> Mesh:
-        """All of it."""
         parts = [] if self.body is None else [body_mesh(self.body)]
         if self.places:
             parts.append(shapes.tag(self.tip_mm * 1e-3, self.reflectors_m))
@@ -131,21 +127,17 @@ SETS = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Which objects."""
     parser.add_argument("names", nargs="*", help="objects; all whose files are missing")
     parser.add_argument("--set", choices=tuple(SETS), default="responses")
-    parser.add_argument("--out", type=Path, help="folder of the files")
 
 
 def solve(run: Run) -> Iterator[Table]:
-    """Solve objects into response files."""
-    given = run.options
-    objects, sweep, folder = SETS[given.set]
-    out, rows = given.out or folder, []
+    objects, sweep, out = SETS[run.options.set]
+    rows = []
     out.mkdir(parents=True, exist_ok=True)
-    for name in given.names or [n for n in objects if not (out / f"{n}.npz").exists()]:
+    for name in run.options.names or [n for n in objects if not (out / f"{n}.npz").exists()]:
         if name not in objects:
-            raise SystemExit(f"there is no object {name} in the set {given.set}")
+            raise SystemExit(f"there is no object {name} in the set {run.options.set}")
         thing = objects[name]
         solved, wall, cpu = timed(partial(solve_response, name, thing.mesh(), sweep, thing.reflectors_m))
         write_response(out / f"{name}.npz", solved)

@@ -64,7 +64,6 @@ class Load(NamedTuple):
 
     @property
     def row(self) -> tuple[object, ...]:
-        """Of a table."""
         return self.scans, f"{self.resident_mb:.1f}", self.threads, self.files
 
 
@@ -89,7 +88,6 @@ class Page(threading.Thread):
                 self._receive(page)
 
     def end(self) -> None:
-        """End with the connection that the station closes."""
         self._ended.set()
 
     def _receive(self, page: Raw) -> None:
@@ -156,7 +154,6 @@ def operate(run: Run) -> Iterator[Table]:
 def scan_once(station: Station, place: Path) -> None:
     """Scan the helmet, which must be named."""
     station.start(None)
-    assert station.scan is not None
     station.scan.join(300)
     state = station.scan.view.state
     named = state.answer is not None and state.answer.status == "identified"
@@ -202,7 +199,6 @@ def wait_idle(run: Run, scans: int) -> tuple[list[Load], float]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """How much is scanned, and how long it then waits."""
     parser.add_argument("--scans", type=int, help="2000, or 6 for a look")
     parser.add_argument("--every", type=int, help="scans per row; a twentieth of them")
     parser.add_argument("--minutes", type=float, default=1e9, help="after which no further scan begins")
@@ -213,7 +209,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def endurance(run: Run) -> Iterator[Table]:
-    """A row for every so many scans, for every hour without one, and for the scans after it."""
     run.seeds = "the emulator's, 2"
     if run.options.speed != 1.0:
         fast_clock.relaunch()

@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +21,6 @@ from tagid.proportion import wilson
 LONG = 17
 """A table of more rows is a CSV file, and the page shows a part of it."""
 Row = Sequence[object]
-Job = TypeVar("Job")
-Key = TypeVar("Key")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,6 @@ class Table:
 
     @property
     def headings(self) -> Sequence[str]:
-        """Of the columns."""
         return self.columns.split(" | ") if isinstance(self.columns, str) else self.columns
 
     @property
@@ -97,7 +93,7 @@ def write(page: Path, name: str, title: str, made: Sequence[str], tables: Sequen
     page.write_text(text, encoding="utf-8")
 
 
-def grouped(results: Mapping[Job, Result], key: Callable[[Job], Key]) -> dict[Key, list[Result]]:
+def grouped(results: Mapping[Any, Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
     """The results by a key of their jobs, in order."""
     groups = defaultdict(list)
     for job, result in results.items():
@@ -122,7 +118,6 @@ def interval(values: np.ndarray, digits: int) -> str:
 
 
 def rms(values: Any) -> float:
-    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

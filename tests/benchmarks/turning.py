@@ -14,7 +14,6 @@ a turn for good, or go on after 0.3 of a turn. A stop counts as found within 0.0
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -76,7 +75,6 @@ class Case(NamedTuple):
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Case:
-        """A random case."""
         layout, body = TURNED[rng.integers(len(TURNED))]
         seed, ratio = int(rng.integers(1e6)), float(rng.choice(RATIOS))
         snr_db = float(rng.choice([5, 10, 15, 20]))
@@ -97,7 +95,6 @@ class Case(NamedTuple):
 
 
 def outcome(resolved: ResolvedMotion | None) -> str:
-    """What the user is told."""
     if resolved is None:
         return "refused"
     if not resolved.shown_rpms:
@@ -109,7 +106,6 @@ def outcome(resolved: ResolvedMotion | None) -> str:
 
 
 def contradicted(run: Run) -> Iterator[Table]:
-    """What the user is told of wrong and of right speeds."""
     count = run.number(160, 6)
     run.seeds = f"{SEED}, {count} cases"
     rng = np.random.default_rng(SEED)
@@ -133,7 +129,7 @@ FIRST_SEED = 7000
 SNRS_DB = (20, 10, 5)
 STOPS = (0.25, 0.5, 0.75, 0.9)
 PAUSES = {"stops": math.inf, "goes on": 0.3}
-TURNS = 1.3
+TURNS, SCANS = 1.3, 468
 RESULTS = ("right", "elsewhere", "none")
 NEAR = 0.04
 PRESETS = (
@@ -170,13 +166,11 @@ class Clean(NamedTuple):
 
 
 def objects() -> list[str]:
-    """Names of all objects."""
     bodies = [f"{name} on {body}" for name, body in BODIES]
     return [*PRESETS, *bodies, *(f"full-wave {name}" for name in SOLVED)]
 
 
 def clean(name: str, seed: int) -> Clean:
-    """One turn of an object."""
     rng = np.random.default_rng([seed, 77])
     x, y = 0.006 * rng.standard_normal(2)
     if name.startswith("full-wave "):
@@ -196,33 +190,27 @@ def clean(name: str, seed: int) -> Clean:
     return Clean(truth.clean, truth.noise_std)
 
 
-def imagined(turn: Clean, snr_db: float, scans: int, rng: np.random.Generator) -> bool:
+def imagined(turn: Clean, snr_db: float, rng: np.random.Generator) -> bool:
     """Whether a stop is found in an object that turns."""
     turns = rng.uniform(1.25, 1.4) if rng.uniform() < 2 / 3 else rng.uniform(0.4, 1.2)
-    reported = np.linspace(0, turns, round(scans * turns / TURNS), endpoint=False)
+    reported = np.linspace(0, turns, round(SCANS * turns / TURNS), endpoint=False)
     true = rng.uniform() + reported * rng.uniform(0.87, 1.13)
     return find_standstill(turn.recorded(true, snr_db, rng), reported, NOMINAL_TOLERANCE) is not None
 
 
-def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng: np.random.Generator) -> str:
+def found(turn: Clean, stop: float, pause: float, snr_db: float, rng: np.random.Generator) -> str:
     """ "right", "elsewhere" or "none"."""
-    reported = np.linspace(0, TURNS, scans, endpoint=False)
+    reported = np.linspace(0, TURNS, SCANS, endpoint=False)
     true = np.where(reported < stop, reported, np.maximum(stop, reported - pause))
     still = find_standstill(turn.recorded(rng.uniform() + true, snr_db, rng), reported, NOMINAL_TOLERANCE)
     if still is None:
         return "none"
-    ends = [still.first / scans * TURNS - stop, still.stop / scans * TURNS - min(TURNS, stop + pause)]
+    ends = [still.first / SCANS * TURNS - stop, still.stop / SCANS * TURNS - min(TURNS, stop + pause)]
     return "right" if np.abs(ends).max() < NEAR else "elsewhere"
 
 
-def stops_options(parser: argparse.ArgumentParser) -> None:
-    """How many scans."""
-    parser.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
-
-
 def stops(run: Run) -> Iterator[Table]:
-    """How often a stop is imagined in objects that turn, and found in those that stop."""
-    seeds, scans = run.drawn(4, first=FIRST_SEED), run.options.scans
+    seeds = run.drawn(4, first=FIRST_SEED)
     run.seeds += " (constants were chosen on 10 to 17)"
     turning: Counter[tuple[int, bool]] = Counter()
     stopped: Counter[tuple[str, int, float, str]] = Counter()
@@ -230,12 +218,12 @@ def stops(run: Run) -> Iterator[Table]:
         turn = clean(name, seed)
         rngs = np.random.default_rng([seed, 5]), np.random.default_rng([seed, 5])
         for snr_db in SNRS_DB:
-            wrong = imagined(turn, snr_db, scans, rngs[0])
+            wrong = imagined(turn, snr_db, rngs[0])
             turning[snr_db, wrong] += 1
             if wrong:
                 run.say(f"imagined: {name}, seed {seed}, {snr_db} dB")
             for (what, pause), stop in product(PAUSES.items(), STOPS) if name != "empty" else ():
-                stopped[what, snr_db, stop, found(turn, stop, pause, snr_db, scans, rngs[1])] += 1
+                stopped[what, snr_db, stop, found(turn, stop, pause, snr_db, rngs[1])] += 1
     rows = [(snr, turning[snr, True] + turning[snr, False], turning[snr, True]) for snr in SNRS_DB]
     yield Table("SNR, dB | turning objects | a stop was reported", rows)
     lines = []

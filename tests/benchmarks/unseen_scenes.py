@@ -25,7 +25,8 @@ from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import ResponseBody
 from tagid.simulate.scene import Scene, StaticReturns
-from tests.benchmarks.solved_objects import LAYOUTS, OBJECTS
+from tests.benchmarks.fullwave_scenes import NAMES
+from tests.benchmarks.solved_objects import OBJECTS
 
 TURN = 2 * np.pi * np.arange(24) / 24
 """Angles at which echoes are measured for the SNR and the room."""
@@ -39,16 +40,12 @@ class Recording(NamedTuple):
 
     @property
     def label(self) -> str:
-        """In the key of a scene."""
         return f"{self.views} views, {self.snr_db:.0f} dB"
 
 
-RECORDINGS = tuple(
-    Recording(*how)
-    for how in (
-        *((36, 20), (36, 10), (18, 20), (18, 10), (24, 20)),
-        *((72, 20), (72, 10), (12, 20), (36, 5), (36, 0)),
-    )
+RECORDINGS = (
+    *(Recording(*how) for how in ((36, 20), (36, 10), (18, 20), (18, 10), (24, 20))),
+    *(Recording(*how) for how in ((72, 20), (72, 10), (12, 20), (36, 5), (36, 0))),
 )
 """Recordings of every object."""
 
@@ -61,12 +58,11 @@ def base_of(name: str) -> str:
 
 def truth_of(name: str) -> str:
     """The built-in layout that an object carries; "" for none."""
-    return LAYOUTS.get(name.partition("_")[2], "")
+    return NAMES.get(name.partition("_")[2], "")
 
 
 @cache
 def response(folder: Path, name: str) -> Response:
-    """A solved object."""
     return read_response(folder / f"{name}.npz")
 
 

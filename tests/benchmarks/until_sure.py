@@ -8,9 +8,8 @@ and its name has the rest of the error. Nothing is chosen on these turns.
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -110,7 +109,6 @@ def null_turn(at: int) -> Turn:
 
 def scaled(capture: Capture, scale: float) -> Capture:
     """The capture as a device would record it whose angles are too large by a factor."""
-    assert capture.angles_rad is not None
     return replace(capture, angles_rad=capture.angles_rad * scale)
 
 
@@ -185,34 +183,23 @@ class Tagged(NamedTuple):
     body: str = ""
 
 
-def looks_at(turn: Turn, needed: Callable[[Look], bool]) -> list[Look]:
-    """The looks at a turn; only the middle one where `needed` says that no other can matter."""
-    middle = look(part_of_turn(turn.capture, LOOKS[1]), turn.layouts, LOOKS[1])
-    if not needed(middle):
-        return [middle]
-    first, last = (look(part_of_turn(turn.capture, s), turn.layouts, s) for s in (LOOKS[0], LOOKS[2]))
-    return [first, middle, last]
-
-
-def _stored(looks: Sequence[Look]) -> list[Row]:
-    """Looks as JSON values."""
-    return [{**asdict(item), "score": item.score if math.isfinite(item.score) else None} for item in looks]
+def look_at(turn: Turn, part: float) -> Look:
+    """The look at a turn after a part of it."""
+    return look(part_of_turn(turn.capture, part), turn.layouts, part)
 
 
 def _looks(row: Row) -> list[Look]:
-    """The looks of a row."""
-    return [
-        Look(**{**item, "score": -math.inf if item["score"] is None else item["score"]})
-        for item in row["looks"]
-    ]
+    return [Look(**item) for item in row["looks"]]
 
 
 def read_null(task: tuple[int]) -> Row:
     """The looks at a null turn. Both pairs of looks contain the middle one, which often decides alone."""
     turn = null_turn(*task)
-    looks = looks_at(turn, lambda middle: middle.layout is not None)
-    score = largest(looks) if len(looks) == len(LOOKS) else -math.inf
-    return {"kind": turn.kind, "looks": _stored(looks), "largest": score if math.isfinite(score) else None}
+    looks, score = [look_at(turn, LOOKS[1])], -math.inf
+    if looks[0].layout is not None:
+        looks = [look_at(turn, LOOKS[0]), *looks, look_at(turn, LOOKS[2])]
+        score = largest(looks)
+    return {"kind": turn.kind, "looks": [*map(asdict, looks)], "largest": score}
 
 
 def whole_turn(turn: Turn, spent: float) -> Reading:
@@ -228,11 +215,11 @@ def read_tagged(task: Tagged) -> Row:
         turn = tagged_body_turn(task.number, task.world, task.body, task.snr_db)
     else:
         turn = tagged_turn(REPORT + task.number, task.enrolled, task.snr_db, task.scale)
-    looks = looks_at(turn, lambda middle: True)
+    looks = [look_at(turn, part) for part in LOOKS]
     every = whole_turn(turn, 0.0)
     rest = whole_turn(turn, SPENT) if every.status == "identified" else every
     answers = {key: [item.status, item.layout] for key, item in (("rest", rest), ("whole", every))}
-    return {"name": turn.name, "looks": _stored(looks), **answers}
+    return {"name": turn.name, "looks": [*map(asdict, looks)], **answers}
 
 
 def ending(row: Row, calibration: EndingCalibration) -> tuple[float, str | None]:
@@ -247,7 +234,6 @@ def ending(row: Row, calibration: EndingCalibration) -> tuple[float, str | None]
 
 
 def null_table(rows: Sequence[Row], calibration: EndingCalibration) -> Table:
-    """False names by kind."""
     lines = []
     for kind in (*sorted({row["kind"] for row in rows}), "all"):
         some = [row for row in rows if kind in (row["kind"], "all")]
@@ -266,7 +252,6 @@ def null_table(rows: Sequence[Row], calibration: EndingCalibration) -> Table:
 
 
 def tag_table(rows: dict[Tagged, Row], calibration: EndingCalibration) -> Table:
-    """Share of the turn and errors, against the whole turn in the same run."""
     lines = []
     for group, some in grouped(rows, lambda task: task.group).items():
         ends = [ending(row, calibration) for row in some]
@@ -300,7 +285,6 @@ def tag_table(rows: dict[Tagged, Row], calibration: EndingCalibration) -> Table:
 
 
 def tagged(count: int) -> list[Tagged]:
-    """Turns with a tag, by the rows of the table."""
     numbers = range(count)
     sets = ("paper", "helmet-16")
     tasks = [Tagged(n, f"{e}, {snr:g} dB", snr, e) for e, snr, n in product(sets, SNRS_DB, numbers)]
@@ -314,19 +298,13 @@ def tagged(count: int) -> list[Tagged]:
     ]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Whose turns."""
-    parser.add_argument("--nulls", type=int, help="turns without a tag; 2000, or 20 for a look")
-
-
 def _nulls(run: Run, first: int) -> tuple[range, list[Row]]:
     """Numbers of null turns, and the looks at them."""
-    numbers = range(first, first + (run.options.nulls or (20 if run.quick else 2000)))
+    numbers = range(first, first + (20 if run.quick else 2000))
     return numbers, [*run.each(read_null, [(number,) for number in numbers]).values()]
 
 
 def endings(run: Run) -> Iterator[Table]:
-    """Turns without an enrolled tag, and with one."""
     calibration, count = EndingCalibration.shipped(), run.number(14)
     numbers, rows = _nulls(run, FIRST_REPORTED)
     run.seeds = f"{numbers[0]} to {numbers[-1]} without a tag, {REPORT} to {REPORT + count - 1} with one"
@@ -335,10 +313,9 @@ def endings(run: Run) -> Iterator[Table]:
 
 
 def calibrate(run: Run) -> Iterator[Table]:
-    """Make `tagid/reading/ending.json` (with --write)."""
     numbers, rows = _nulls(run, CALIBRATE)
     run.seeds = f"{numbers[0]} to {numbers[-1]}"
-    scores = sorted((row["largest"] for row in rows if row["largest"] is not None), reverse=True)
+    scores = sorted((row["largest"] for row in rows if math.isfinite(row["largest"])), reverse=True)
     span = (numbers.start, numbers.stop)
     made = EndingCalibration(STATEMENT, span, LOOKS, FEWEST_VIEWS, len(rows), tuple(scores))
     if run.pictures:

@@ -86,7 +86,6 @@ def residuals(cell: Cell) -> dict[str, float]:
 
 
 def predicted(run: Run) -> Iterator[Table]:
-    """A row for every scene, as seen from few heights."""
     seeds, kinds = run.drawn(3), KINDS[:1] if run.quick else KINDS
     results = run.each(residuals, [Cell(*cell) for cell in product(SETS, kinds, seeds)])
     rows = [
@@ -203,7 +202,6 @@ def errors_mm(views: Aperture, assumed: Aperture, points: np.ndarray) -> np.ndar
 
 
 def antennas(run: Run) -> Iterator[Table]:
-    """A row for every distance of the antennas and part of a turn."""
     count = run.number(40, 4)
     run.seeds = "0"
     points = np.random.default_rng(0).uniform(-0.09, 0.09, (count, 2)) * np.sqrt(2)

@@ -104,7 +104,7 @@ def sphere(radius_m: float, pieces: int) -> Mesh:
     return Mesh(radius_m * mesh.vertices / length, mesh.triangles, mesh.sheet_m)
 
 
-def _grid(origin: Floats, along: Floats, across: Floats, edge_m: float) -> Mesh:
+def _grid(origin: Floats, along: Floats, across: Floats, edge_m: float, sheet_m: complex) -> Mesh:
     """A parallelogram, its diagonals alternating so that no direction is preferred."""
     n = max(1, int(np.ceil(np.linalg.norm(along) / edge_m - 1e-9)))
     m = max(1, int(np.ceil(np.linalg.norm(across) / edge_m - 1e-9)))
@@ -115,13 +115,14 @@ def _grid(origin: Floats, along: Floats, across: Floats, edge_m: float) -> Mesh:
     even = (i + j) % 2 == 0
     first = np.where(even[:, None], np.stack([a, b, c], 1), np.stack([a, b, d], 1))
     second = np.where(even[:, None], np.stack([a, c, d], 1), np.stack([b, c, d], 1))
-    return Mesh.of(vertices, np.concatenate([first, second]))
+    return Mesh.of(vertices, np.concatenate([first, second]), sheet_m)
 
 
 def plate(width_m: float, height_m: float, edge_m: float, sheet_m: complex = 0.0) -> Mesh:
     """An upright rectangular plate in the plane x = 0, centred on the origin."""
     origin = np.array([0.0, -width_m / 2, -height_m / 2])
-    return _of(_grid(origin, np.array([0.0, width_m, 0.0]), np.array([0.0, 0.0, height_m]), edge_m), sheet_m)
+    sides = np.array([0.0, width_m, 0.0]), np.array([0.0, 0.0, height_m])
+    return _grid(origin, *sides, edge_m, sheet_m)
 
 
 def _stitched(inner: int, outer: int, inner_phase: float, outer_phase: float) -> NDArray[np.int64]:
@@ -181,11 +182,7 @@ def revolved(
         vertices.append(b)
         triangles.append(t + start)
         start += len(a)
-    return _of(Mesh.of(np.concatenate(vertices), np.concatenate(triangles)), sheet_m)
-
-
-def _of(mesh: Mesh, sheet_m: complex) -> Mesh:
-    return Mesh(mesh.vertices, mesh.triangles, np.full(len(mesh.triangles), sheet_m, np.complex128))
+    return Mesh.of(np.concatenate(vertices), np.concatenate(triangles), sheet_m)
 
 
 def can(radius_m: float, height_m: float, edge_m: float = 0.008, sheet_m: complex = 0.0) -> Mesh:
@@ -221,7 +218,7 @@ def handle(
     across = np.array([0.0, width_m, 0.0])
     x0, x1, h = start_m, start_m + reach_m, height_m / 2
     path = [np.array([x, -width_m / 2, z]) for x, z in ((x0, h), (x1, h), (x1, -h), (x0, -h))]
-    return _of(Mesh.join(*(_grid(a, b - a, across, edge_m) for a, b in pairwise(path))), sheet_m)
+    return Mesh.join(*(_grid(a, b - a, across, edge_m, sheet_m) for a, b in pairwise(path)))
 
 
 def helmet(
@@ -244,4 +241,4 @@ def box(sides_m: tuple[float, float, float], edge_m: float = 0.01, sheet_m: comp
     x, y, z = np.diag(sides_m)
     low = -np.asarray(sides_m) / 2
     faces = [(low, x, y), (low, x, z), (low, y, z), (low + x, y, z), (low + y, x, z)]
-    return _of(Mesh.join(*(_grid(o, u, v, edge_m) for o, u, v in faces)), sheet_m)
+    return Mesh.join(*(_grid(o, u, v, edge_m, sheet_m) for o, u, v in faces))
