@@ -60,7 +60,7 @@ browser:
 # Scans wait for radars and tables in real time: three processes keep two cores busy, two do not.
 WORKERS = $(shell $(BIN)/python -c "import os; print(max(2, 3 * (os.cpu_count() or 1) // 2))")
 
-# Byte code is kept, whatever the environment says: seven processes collect the tests, and commands start by hundreds.
+# Byte code is kept, whatever the environment says: seven processes collect the tests, which start hundreds of others.
 PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest --dist worksteal
 
 check: $(VENV)/.torch browser

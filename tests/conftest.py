@@ -64,16 +64,16 @@ for name in names:
 
 @pytest.fixture(scope="session", autouse=True)
 def bytecode(remembered: Path) -> None:
-    """Byte code for the hundreds of interpreters that a whole run starts, where the environment keeps none.
+    """Byte code for the hundreds of interpreters that a whole run starts, where the environment keeps any.
 
     They read it only: one whose files may not grow would leave half of a module to the others.
     """
-    if not (sys.dont_write_bytecode and "PYTEST_XDIST_WORKER" in os.environ):
+    if sys.dont_write_bytecode or "PYTEST_XDIST_WORKER" not in os.environ:
         return
-    folder = remembered.with_name("bytecode")
-    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+    sys.dont_write_bytecode = True
+    os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     try:
-        folder.mkdir()
+        remembered.with_name("compiled").mkdir()
     except FileExistsError:
         return
     writing = {**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
