@@ -164,6 +164,10 @@ class Capture:
         if self.angles_rad is not None and self.antenna_positions_m is not None:
             raise DataError("a capture has angles or antenna positions, not both")
 
+    def __repr__(self) -> str:
+        reach = f"{self.ranges_m[0]:.3f} to {self.ranges_m[-1]:.3f} m"
+        return f"<Capture of {self.views} views, {self.bins} bins from {reach}, {self.uuid}>"
+
     @property
     def views(self) -> int:
         """Number of views (scans)."""

@@ -116,7 +116,7 @@ class _ImageOptions:
     ] = False
     seed: options.Seed = 0
     outside: Annotated[
-        bool, typer.Option(help="Search echoes from outside the image; sparse and ats subtract them.")
+        bool, typer.Option(help="Search echoes from outside the image; sparse, omp and ats subtract them.")
     ] = True
 
 

@@ -98,7 +98,7 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     """
     target = options.target or default
     if not target:
-        raise options.wrong("has no device name")
+        raise options.wrong("the device name is missing")
     config = load_config(tolerant=options.stopping)
     passkey = options.secret() or config["motion.passkey"]
     url, key = config.values["motion.url"], config.values["motion.passkey"]

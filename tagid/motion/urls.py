@@ -68,7 +68,7 @@ class Options(Query):
     def port(self) -> str:
         """The target as a device file, by the same name from every folder. Raises UsageError without one."""
         if not self.target:
-            raise self.wrong("has no port")
+            raise self.wrong("the port is missing")
         return str(Path(self.target).absolute())
 
     def direction(self) -> int:
@@ -113,16 +113,16 @@ def parse_motion_url(url: str | MotionUrl) -> Options:
         parts = urlsplit(url.reveal())
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
-        raise bad_url(url, "is malformed") from None
+        raise bad_url(url, "malformed URL") from None
     names = [name for name, _ in pairs]
     if len(set(names)) != len(names):
-        raise bad_url(url, "gives an option twice")
+        raise bad_url(url, "an option is given twice")
     given = dict(pairs)
     digits = given.pop("passkey", "")
     passkey = Secret(digits) if digits else None
     if not parts.scheme:
         if parts.netloc or not parts.path:
-            raise bad_url(url, "is unknown")
+            raise bad_url(url, "no such device")
         return Options(url.public, unquote(parts.path), "", given, passkey)
     # The case of the part before the path is preserved: it may be a Bluetooth name.
     return Options(url.public, parts.scheme, unquote(parts.netloc + parts.path), given, passkey)
@@ -147,14 +147,14 @@ def open_motion(url: str | MotionUrl, stopping: bool = False) -> Motion:
     options.stopping = stopping
     if options.scheme == "emulator":
         if not options.target:
-            raise options.wrong("has no scene")
+            raise options.wrong("the scene is missing")
         known = ("rpm", "direction", "max_seconds", "marker")
         return _free(Options(options.url, "free", "", {k: v for k, v in options.given.items() if k in known}))
     if options.scheme == "free" and not options.target:
         return _free(options)
     entry = next(iter(metadata.entry_points(group=ENTRY_POINTS, name=options.scheme)), None)
     if entry is None:
-        raise options.wrong("is unknown")
+        raise options.wrong("no such device")
     factory = cast(Callable[[Options], Motion], entry.load())
     device = factory(options)
     options.done()

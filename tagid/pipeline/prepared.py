@@ -343,7 +343,9 @@ class LoadSettings:
         return str(self.motion.value)
 
 
-def load_capture(source: Path | Capture, settings: LoadSettings | None = None, turn: bool = True) -> Capture:
+def load_capture(
+    source: Path | str | Capture, settings: LoadSettings | None = None, turn: bool = True
+) -> Capture:
     """A recording, prepared for imaging and reading.
 
     Args:

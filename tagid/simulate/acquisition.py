@@ -231,6 +231,7 @@ class Acquisition:
 
     @property
     def scans(self) -> int:
+        """Number of scans recorded."""
         return max(1, round(self.views * self.turns))
 
     @property

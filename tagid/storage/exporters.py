@@ -17,7 +17,7 @@ SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
 """Export formats, by suffix."""
 
 
-def export(capture: Capture, path: Path) -> None:
+def export(capture: Capture, path: Path | str) -> None:
     """Write a capture atomically, in the format given by the suffix of `path`.
 
     `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `tagid.storage.mat`), `.out`
@@ -28,6 +28,7 @@ def export(capture: Capture, path: Path) -> None:
         DataError: settings or times that the format needs are missing or do not fit.
         DiskFullError, StorageError: the file cannot be written.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".h5":
         hdf5.write_capture(path, capture)

@@ -26,7 +26,7 @@ _KNOWN = (
 _HEAD = 1 << 16
 
 
-def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
+def read_any(path: Path | str, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
     """Read a capture, a journal, a generic NPZ or a MATLAB file, a P440 recording or an MRM-RET log.
 
     Args:
@@ -40,6 +40,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         FileFormatError: none of these formats, or damaged.
         UsageError: scans of several radars and no `node`, or none of that radar.
     """
+    path = Path(path)
     head = files.read_head(path, _HEAD)
     if not head:
         raise FileFormatError(f"{path}: the file is empty", _KNOWN)

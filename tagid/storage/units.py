@@ -191,9 +191,9 @@ def check_units(path: Path, capture: Capture) -> None:
 
 
 def _check_axis(path: Path, capture: Capture) -> None:
-    """Reject an axis beyond the recorded ranges that another unit brings into them."""
+    """Reject an axis far beyond the recorded ranges that another unit brings into them."""
     axis, ranges = capture.axis_distance_m, capture.ranges_m
-    if axis is None or axis <= ranges[-1]:
+    if axis is None or axis <= _UNSEEN * ranges[-1]:
         return
     fitting = [name for name, parts in _LENGTHS if ranges[0] < axis / parts < ranges[-1]]
     if fitting:

@@ -118,6 +118,13 @@ def test_times_that_no_turn_explains_name_the_unit(tmp_path: Path) -> None:
     assert "timestamps_s is in seconds" in raised.value.remedy
 
 
+def test_an_axis_in_millimetres_names_the_unit(tmp_path: Path) -> None:
+    turn = np.arange(60) * 2 * np.pi / 60
+    with pytest.raises(FileFormatError, match="axis_distance_m is 5200, but the scans reach") as raised:
+        read_any(npz(tmp_path / "a.npz", angles_rad=turn, axis_distance_m=5200.0))
+    assert "millimetres (divide by 1000)" in raised.value.remedy
+
+
 @pytest.mark.parametrize(("times", "unit"), [(np.arange(3750) * 8.0, "milliseconds"),
                                              (np.arange(36) / 36 * 30 / 86400, "days")])  # fmt: skip
 def test_times_of_a_whole_recording_name_the_unit(tmp_path: Path, times: Any, unit: str) -> None:

@@ -17,7 +17,7 @@ def _robot(options: Options, open_link: Callable[[], ByteLink], robot: str, fast
     step = options.number("step", None, 1, MAX_STEP)
     rpm = options.number("rpm", None, 0.1, 60 / step_period_s(MAX_STEP) + 0.5)
     if step is not None and rpm is not None:
-        raise options.wrong("gives both step and rpm")
+        raise options.wrong("both step and rpm are given")
     if rpm is not None:
         # The nearest speed that the wheels support.
         step = min(range(1, MAX_STEP + 1), key=lambda n: abs(60 / step_period_s(n) - rpm))
