@@ -164,6 +164,9 @@ _CENTRE_FIRST = {
 _IN_RANGE = f"Check that the object lies in the recorded range and turns. {ADVICE[Code.NO_TAG]}"
 _NO_DELAY = "Measure the path delay of radar and cables, which is 0 ps here, with `tagid commission`."
 _NEW_TAG = "Enroll the tag if it is new. If it is enrolled, check that every reflector is on its mark."
+_OFF_AXIS = "Move the object 5 mm and scan again: a reflector on the rotation axis looks like the room."
+_ON_AXIS_M = 2e-3
+"""A reflector nearer to the axis hardly shows."""
 _EXPLAINED = 0.05
 """Share of the echo that reflectors alone may leave where there is no body to be enrolled."""
 _AXIS_M = 0.01
@@ -253,6 +256,10 @@ def _advice(reading: Reading, round_echo: Circling | None, radar: RadarInfo) -> 
     """What to do in the place of the reader's advice; empty where that is right."""
     if _another_tag(reading):
         return _NEW_TAG
+    if reading.code is Code.WEAK and any(
+        np.hypot(reflector.x_m, reflector.y_m) < _ON_AXIS_M for reflector in reading.reflectors
+    ):
+        return _OFF_AXIS
     if _unseen(reading, round_echo):
         in_range = _IN_RANGE if reading.code is Code.NO_TAG else reading.advice
         return f"{_NO_DELAY} {in_range}" if _beyond_range(reading, round_echo, radar) else in_range

@@ -20,7 +20,7 @@ from tagid.pipeline.diagnosis import circling, named_in, recentred, recording_re
 from tagid.pipeline.identify import identify, identify_together, of_the_part, widest_gap
 from tagid.pipeline.prepared import PreparedCapture, load_capture
 from tagid.pipeline.settings import ImagingSettings
-from tagid.reading.reading import Kind, Reading
+from tagid.reading.reading import Kind, Reading, Reflector
 from tagid.reading.verdict import ADVICE, Code
 from tagid.simulate import Placement, parse_body, parse_reflector
 from tagid.simulate.acquisition import Acquisition
@@ -257,6 +257,10 @@ def test_a_handle_circles_but_is_no_body_off_the_axis(monkeypatch: pytest.Monkey
     assert diagnosis._advice(alone, None, radar).startswith("Enroll the tag if it is new. If it is enrolled")
     body = replace(alone, hypotheses=(replace(winner, unexplained=0.3),))
     assert diagnosis._advice(body, None, radar).startswith("Place")
+    on_axis = replace(
+        other.reading, code=Code.WEAK, reflectors=(Reflector(1e-3, 0.0, 1 + 0j, 0.0, 20.0, True),)
+    )
+    assert diagnosis._advice(on_axis, None, radar).startswith("Move the object 5 mm")
     for code in (Code.NO_TAG, Code.NO_ECHO):
         simulated, unmeasured, measured = (
             diagnosis._advice(replace(alone, code=code), None, RadarInfo(kind=kind, cable_delay_ps=delay_ps))
