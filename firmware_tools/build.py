@@ -48,7 +48,6 @@ class Build:
         return {path: hashlib.sha256(data).hexdigest() for path, data in self.files.items()}
 
     def manifest(self) -> dict[str, Any]:
-        """Content of the manifest file."""
         return {
             "version": self.version,
             "protocol": PROTOCOL,

@@ -43,7 +43,6 @@ class Tally:
     copies: dict[str, list[tuple[str, str | None]]] = field(default_factory=dict)
 
     def add(self, record: ItemRecord) -> None:
-        """Count one record."""
         self.items += 1
         if record.copy_of is None:
             self.status[record.status] += 1

@@ -33,9 +33,7 @@ def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden
         return _removed("bodies", remove)
     registry = open_registry()
     contents = registry.contents()
-    table = Table(box=None)
-    for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
-        table.add_column(head)
+    table = Table("kind", "name", "radius mm", "turning dB", "error %", "captures", "label")
     for signature in contents.signatures:
         facts = _facts(signature)
         table.add_row(
@@ -127,7 +125,7 @@ def check(terminal: Terminal) -> Result:
     contents = open_registry().contents()
     pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
     pairs.sort(key=lambda pair: pair.difference)
-    table = Table("kind", "pair", "apart %", "remark", box=None)
+    table = Table("kind", "pair", "apart %", "remark")
     for pair in pairs:
         remark = "ALIKE" if pair.alike else ""
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)

@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 
 
 class Output(StrEnum):
-    """Output format of a result."""
-
     human = "human"
     json = "json"
 

@@ -289,7 +289,6 @@ def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: _VolumeO
 
 
 def _given_among(options: Mapping[str, object]) -> list[str]:
-    """The options that were given."""
     return [option for option, given in options.items() if given]
 
 

@@ -57,7 +57,6 @@ class Options(Query):
     stopping: bool = False
 
     def wrong(self, why: str) -> UsageError:
-        """The error for this URL."""
         return bad_url(self.url, why)
 
     def secret(self) -> Secret | None:

@@ -203,5 +203,4 @@ class UdpLink:
         """Nothing to do: a UDP socket survives a restart of the radar."""
 
     def close(self) -> None:
-        """Close the port."""
         self._socket.close()

@@ -36,8 +36,6 @@ MAX_PACKET_BYTES: Final = 1452
 
 
 class Status(enum.IntEnum):
-    """Status codes of confirms (P440 MRM API)."""
-
     OK = 0
     GENERIC = 1
     WRONG_OPMODE = 2
@@ -193,7 +191,6 @@ class MessageSpec:
 
     @property
     def name(self) -> str:
-        """The message's name in the API."""
         return self.type.name
 
     @property
@@ -291,7 +288,6 @@ class Message:
 
     @property
     def name(self) -> str:
-        """The message's name in the API."""
         return self.type.name
 
     def __getitem__(self, field: str) -> int:

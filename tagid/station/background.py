@@ -29,12 +29,10 @@ class BackgroundRun(ABC):
         self._stop.set()
 
     def join(self, seconds: float) -> None:
-        """Wait for its end."""
         self._thread.join(seconds)
 
     @property
     def running(self) -> bool:
-        """Whether it still works."""
         return self._thread.alive
 
     @abstractmethod

@@ -67,7 +67,6 @@ class Schema:
 
     @property
     def version(self) -> int:
-        """The current version."""
         return len(self.migrations)
 
 

@@ -247,7 +247,6 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
 
 
 def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
-    """The datasets under /scans."""
     arrays = {"samples": capture.samples}
     if np.iscomplexobj(capture.samples):
         arrays = {"samples": capture.samples.real, "samples_imag": capture.samples.imag}

@@ -74,7 +74,6 @@ def pack_record(kind: int, payload: bytes) -> bytes:
 
 
 def record_bytes(payload: bytes) -> int:
-    """Size of a record with this payload in the file, bytes."""
     return _RECORD.size + len(payload)
 
 
@@ -225,7 +224,6 @@ class JournalWriter:
 
     @property
     def size(self) -> int:
-        """Size of the file, bytes."""
         return self._size
 
     def append(

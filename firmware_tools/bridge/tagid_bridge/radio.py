@@ -96,7 +96,6 @@ class Radio:
         return data, pack("BB", len(text) + 1, 9) + text
 
     def connected(self):
-        """Whether a host is connected."""
         return self._connection is not None
 
     def trusted(self):

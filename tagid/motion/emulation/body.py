@@ -81,7 +81,6 @@ class Body:
         self._headings: deque[float] = deque([0.0])
 
     def drive(self, right_mm_s: float, left_mm_s: float) -> None:
-        """Set the wheel speeds from now on."""
         if self.settings.blocked:
             return
         self._wanted = (
@@ -91,11 +90,9 @@ class Body:
 
     @property
     def moving(self) -> bool:
-        """Whether a wheel turns."""
         return any(self._speed)
 
     def advance(self, now_s: float) -> None:
-        """Advance the time."""
         s = self.settings
         while self._now < now_s:
             step = min(_TICK_S, now_s - self._now)
@@ -145,7 +142,6 @@ class Body:
         return self._way[0], self._way[1]
 
     def encoders(self) -> tuple[int, int]:
-        """Left and right counts as int16."""
         counts = []
         for wheel in (0, 1):
             way = self._way[wheel] if self.settings.signed_encoders else abs(self._way[wheel])

@@ -65,7 +65,6 @@ class World:
 
 
 def happen(world: World, event: str) -> None:
-    """Trigger one of EVENTS."""
     setattr(world, *EVENTS[event])
 
 

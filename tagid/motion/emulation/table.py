@@ -25,7 +25,6 @@ class TurningTable:
         self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
 
     def advance(self, now_s: float) -> None:
-        """Advance the time."""
         if now_s > self.now_s:
             self.angle_deg += self.speed_deg_s * (now_s - self.now_s)
             self.now_s = now_s
@@ -79,7 +78,6 @@ class _TableCore(ABC):
         self._buffer = ""
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return the answers."""
         out = self.advance(now_s)
         self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
         while ";" in self._buffer:

@@ -108,7 +108,6 @@ class IndexTable(DrivenMotion):
         """Does nothing: the table is not commanded."""
 
     def describe(self) -> dict[str, Any]:
-        """Information and status of the bridge."""
         try:
             self._link = self._open_link()
             info = self._link.bridge.info

@@ -80,7 +80,6 @@ class PolledTable(DrivenMotion):
         """Command it to stop."""
 
     def link(self) -> ByteLink:
-        """The link, opened on first use."""
         if self._link is None:
             self._link = self._open_link()
             self._buffer = b""
@@ -178,7 +177,6 @@ class PolledTable(DrivenMotion):
         self._tell_stop()
 
     def describe(self) -> dict[str, Any]:
-        """Its angle."""
         try:
             self.link()
             return {"device": self.name, "kind": self.kind, "angle_deg": self._ask_angle()}

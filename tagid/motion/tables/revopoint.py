@@ -21,8 +21,6 @@ _ANGLE: Final = re.compile(r"\+DATA\s*=\s*([+-]?\d+(?:\.\d+)?)")
 
 
 class Revopoint(PolledTable):
-    """A dual-axis table; see PolledTable."""
-
     kind = "revopoint"
     warning = "If Bluetooth is lost, or this program hangs, it may not stop: then switch it off"
 

@@ -36,8 +36,6 @@ class Faults:
 
 
 class FaultyPath:
-    """The path from the radar to the client."""
-
     def __init__(self, faults: Faults | None = None) -> None:
         self._faults = faults or Faults()
         self._random = np.random.default_rng(self._faults.seed)
@@ -73,7 +71,6 @@ class FaultyPath:
 
     @property
     def holding(self) -> bool:
-        """Whether packets are held back."""
         return bool(self._held)
 
     def flush(self, now_s: float = math.inf) -> list[bytes]:

@@ -76,7 +76,6 @@ class RecordingSource:
 
     @property
     def views(self) -> int:
-        """Scans in the recording."""
         return len(self._samples)
 
     def has(self, index: int) -> bool:

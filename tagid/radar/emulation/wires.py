@@ -129,7 +129,6 @@ class UdpWire:
         return True
 
     def close(self) -> None:
-        """Release the port."""
         self._socket.close()
 
 
