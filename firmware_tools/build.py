@@ -33,7 +33,6 @@ class Build:
     """A compiled firmware.
 
     Attributes:
-        version: firmware version.
         compiler: version of mpy-cross.
         files: content by path on the board; main.py is the only source.
     """

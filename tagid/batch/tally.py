@@ -22,7 +22,6 @@ class Tally:
     """Counts over the records of a report.
 
     Attributes:
-        items: number of records.
         repeated: number of those that are copies of another one; `status`, `layout` and `caveats` count
             without them.
         status, layout, caveats: number of captures per status, per layout and per caveat.

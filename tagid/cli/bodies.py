@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli import enrolling
-from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_drawing
 from tagid.counting import counted
 from tagid.errors import LayoutConflictError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
 
 
-@group_command("bodies")
+@command("bodies", is_group=True)
 def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden=True)] = None) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 

@@ -11,7 +11,7 @@ import typer
 
 from tagid.cli import enrolling
 from tagid.cli.enrolling import rate_in_words
-from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.frame import Terminal, command
 from tagid.cli.options import METRES
 from tagid.cli.outputs import check_drawing, check_new
 from tagid.counting import counted
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
 
 
-@group_command("layouts")
+@command("layouts", is_group=True)
 def layouts(
     terminal: Terminal,
     history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,

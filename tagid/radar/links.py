@@ -123,7 +123,6 @@ class UdpLink:
 
     Args:
         host: name or IPv4 address of the radar.
-        port: the radar's UDP port.
         local_port: port to receive on; 0 selects any free one.
 
     Raises:

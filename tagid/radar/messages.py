@@ -180,7 +180,6 @@ class MessageSpec:
     """Layout of one message type.
 
     Attributes:
-        type: its type number.
         dtype: the layout to send, type and id included.
         older: other layouts accepted on receipt; missing fields read as zero.
     """
@@ -277,7 +276,6 @@ class Message:
     """One decoded message.
 
     Attributes:
-        type: its type.
         id: message id, 0..65535; a confirm carries the id of its request.
         fields: structured scalar in the dtype of `MESSAGES[type]`, an independent copy.
     """

@@ -79,7 +79,6 @@ class Monitor:
     """Receives scans and returns snapshots; safe to use from two threads, in bounded memory.
 
     Args:
-        config: settings of the radar.
         cable_delay_ps: two-way delay subtracted from the ranges, ps.
         changing: subtract the running mean, to show only changes.
         clock: returns the time, s.

@@ -10,11 +10,7 @@ from tagid.workers import Worker
 
 
 class BackgroundRun(ABC):
-    """One piece of work.
-
-    Args:
-        name: of its thread.
-    """
+    """One piece of work."""
 
     def __init__(self, name: str) -> None:
         self._stop = threading.Event()

@@ -62,7 +62,6 @@ class HistoryEntry:
     """One identification of the history; None where a value is unknown or does not apply.
 
     Attributes:
-        id: its number.
         command: that made it.
         time_utc: ISO 8601, ms.
         file, content_sha256, capture_uuid: what was identified.

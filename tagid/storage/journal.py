@@ -381,7 +381,6 @@ class JournalStream:
     """A journal read scan by scan, in constant memory; see `open_journal`.
 
     Attributes:
-        path: the file.
         header: as given to the writer.
         summary: content of the end record; None before the end or if it is missing.
         bytes_dropped: bytes that belong to no intact record; known at the end.

@@ -134,10 +134,8 @@ class BridgeInfo:
     """Information that a bridge reports without pairing.
 
     Attributes:
-        protocol: protocol version.
         version: firmware version, e.g. "1.0.0".
         flags: configuration and state.
-        name, chip, micropython: text.
     """
 
     protocol: int

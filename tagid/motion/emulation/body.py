@@ -30,11 +30,9 @@ class BodySettings:
         slip_noise: standard deviation of the slow slip variation (correlation time 1 s).
         encoder_noise: standard deviation of a count, counts.
         imbalance: relative excess speed of the right wheel.
-        signed_encoders: count by the commanded direction; otherwise always upwards.
         first_count: initial count of both encoders (near 32767 they wrap soon).
         lag_s: time constant of the motors.
         blocked: whether the wheels cannot turn.
-        seed: random seed.
     """
 
     wheel_base_mm: float = WHEEL_BASE_MM
@@ -42,7 +40,6 @@ class BodySettings:
     slip_noise: float = 0.0
     encoder_noise: float = 0.3
     imbalance: float = 0.0
-    signed_encoders: bool = True
     first_count: int = 0
     lag_s: float = 0.03
     blocked: bool = False
@@ -143,8 +140,7 @@ class Body:
 
     def encoders(self) -> tuple[int, int]:
         counts = []
-        for wheel in (0, 1):
-            way = self._way[wheel] if self.settings.signed_encoders else abs(self._way[wheel])
+        for way in self._way:
             noise = self.settings.encoder_noise * self._rng.normal() if self.moving else 0.0
             count = self.settings.first_count + math.floor(way / MM_PER_COUNT + noise)
             counts.append(((count + 32768) & 0xFFFF) - 32768)

@@ -72,16 +72,11 @@ class RoombaCore:
     """One emulated robot; times are seconds of one clock that never runs backwards.
 
     Args:
-        body: parameters of the robot.
-        world: external conditions.
-        now_s: time at the start.
-        baud: initial baud rate of its port.
         asleep: whether it has to be woken by a pulse on BRC.
 
     Attributes:
         mode: the true mode.
         asleep: whether it ignores all commands until woken.
-        baud: baud rate of its port.
         event: one of EVENTS, and after how many seconds of turning it happens; None for none.
     """
 

@@ -67,7 +67,6 @@ class _TableCore(ABC):
 
     Args:
         rate_error: relative amount by which it turns slower than commanded.
-        now_s: time at the start.
     """
 
     def __init__(self, rate_error: float, now_s: float) -> None:

@@ -30,7 +30,6 @@ class IndexTable(DrivenMotion):
     """A free-running table that reports each full turn.
 
     Args:
-        address: address of the bridge.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn, for the progress line.
     """

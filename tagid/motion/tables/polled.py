@@ -36,8 +36,6 @@ class PolledTable(DrivenMotion):
     """A table over a byte link with answers that end in a semicolon.
 
     Args:
-        open_link: opens the link.
-        name: name of the table in messages.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one plus the overlap.

@@ -23,7 +23,6 @@ class Faults:
         reorder: a packet arrives after the next one to three packets.
         delay: a packet arrives `delay_s` late.
         delay_s: the delay, s of the emulated clock.
-        seed: random seed.
     """
 
     lose: float = 0.0

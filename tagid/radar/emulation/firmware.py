@@ -26,7 +26,6 @@ class Identity:
     """What the emulated radar reports in GET_STATUSINFO.
 
     Attributes:
-        serial: serial number.
         package: name of the hardware package, up to 32 characters.
         temperature_c: board temperature, degrees Celsius.
         boot_s: time from a reboot to READY_INFO (7 s on Ethernet, measured).
