@@ -160,7 +160,6 @@ def check(terminal: Terminal) -> Result:
 
 
 def _facts(signature: Signature) -> dict[str, Any]:
-    """Properties of a signature, for scripts."""
     from tagid.tags.bodies.likeness import least_tag
 
     return {

@@ -186,8 +186,6 @@ class Stored:
     def result(
         self, name: str, data: dict[str, Any], lines: Sequence[Drawn], messages: Sequence[str] = ()
     ) -> Result:
-        """As the result of a command."""
-
         human = [*([] if self.seen is None else [self.seen]), *([] if self.error else lines)]
         if self.error is None:
             return Result(name, data, human, messages=tuple(messages))

@@ -196,7 +196,6 @@ def _drawn(planned: Plan, snr: float, wanted: Wanted | None, want: float | None,
 
 
 def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
-    """The outcome, line by line."""
     setup = planned.setup
     rows = [
         (

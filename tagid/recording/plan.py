@@ -86,7 +86,6 @@ def journal_beside(path: Path) -> Path:
 
 
 def capture_beside(journal_path: Path) -> Path:
-    """The capture file for a journal."""
     return journal_path.with_name(journal_path.name.removesuffix(JOURNAL_SUFFIX) + CAPTURE_SUFFIX)
 
 

@@ -191,7 +191,6 @@ def _touches(mark: Mark, tile: Tile) -> bool:
 
 
 def _raster(drawing: Drawing, dpi: float) -> Image.Image:
-    """The drawing as a grey raster."""
     scale = dpi / MM_PER_INCH
     image = Image.new("L", (round(drawing.width * scale), round(drawing.height * scale)), 255)
     pen = ImageDraw.Draw(image)

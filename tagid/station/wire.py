@@ -295,7 +295,6 @@ def proposal(proposed: LayoutProposal | SignatureProposal, measured: Measured | 
 
 
 def report(run: ReportRun) -> Json:
-    """A report over a selection of the history."""
     return {
         "number": run.number,
         "running": run.running,
