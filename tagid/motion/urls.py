@@ -88,7 +88,6 @@ class Options(Query):
         return recall_reversed(device) if given is None and not self.stopping else bool(given)
 
     def done(self) -> None:
-        """Raise UsageError for an option that was not taken."""
         if self.passkey:
             raise self.wrong("option 'passkey' is unknown")
         super().done()

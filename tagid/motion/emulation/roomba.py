@@ -108,7 +108,6 @@ class RoombaCore:
         self._used_s = self._now
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return what the robot has sent by then, in order."""
         out = self.advance(now_s)
         if self.asleep or self._starts_at_s is not None or not data:
             return out
@@ -119,7 +118,6 @@ class RoombaCore:
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Advance the time; return what the robot sends unprompted."""
         if self._turning_since_s is None and self.body.moving:
             self._turning_since_s = now_s
         if self._turning_since_s is not None and self.event is not None:

@@ -85,7 +85,6 @@ class _TableCore(ABC):
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Advance the time; return the bytes it sends unprompted."""
         self.table.advance(now_s)
         return b""
 
