@@ -154,8 +154,6 @@ def choose_port(given: str | None) -> str:
 
 @dataclass(frozen=True)
 class Python:
-    """Version information of the board's MicroPython."""
-
     version: str
     machine: str
     mpy: int

@@ -33,7 +33,6 @@ class Build:
     """A compiled firmware.
 
     Attributes:
-        version: firmware version.
         compiler: version of mpy-cross.
         files: content by path on the board; main.py is the only source.
     """
@@ -48,7 +47,6 @@ class Build:
         return {path: hashlib.sha256(data).hexdigest() for path, data in self.files.items()}
 
     def manifest(self) -> dict[str, Any]:
-        """Content of the manifest file."""
         return {
             "version": self.version,
             "protocol": PROTOCOL,

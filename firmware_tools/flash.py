@@ -113,7 +113,6 @@ class Connection:
     """Connection to the chip's loader.
 
     Attributes:
-        port: device file.
         baud: baud rate for writing.
         before: how esptool brings the chip into its loader; "no-reset" if BOOT is held by hand.
         stub: whether to load esptool's faster helper into the chip.

@@ -30,8 +30,6 @@ Verdict = Literal["passed", "failed", "skipped"]
 
 @dataclass(frozen=True)
 class Step:
-    """One step: its name, its verdict, and details."""
-
     name: str
     verdict: Verdict
     text: str

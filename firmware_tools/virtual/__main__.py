@@ -51,7 +51,6 @@ def report(document: dict[str, Any]) -> None:
 
 
 def arguments(words: list[str]) -> argparse.Namespace:
-    """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m firmware_tools.virtual", description=__doc__, epilog=COMMANDS
     )

@@ -45,7 +45,6 @@ class Air(LocalLink):
         self._responses[str(address)] = data
 
     def send_advertising_pdu(self, sender_controller: Controller, packet: ll.AdvertisingPdu) -> None:
-        """Forward an advertisement with the scan response of its sender."""
         if self.is_cut:
             return
         if isinstance(packet, (ll.AdvInd, ll.AdvExtInd)):
@@ -60,14 +59,12 @@ class Air(LocalLink):
         transport: PhysicalTransport,
         data: bytes,
     ) -> None:
-        """Forward data."""
         if not self.is_cut:
             super().send_acl_data(sender_controller, destination_address, transport, data)
 
     def send_ll_control_pdu(
         self, sender_address: hci.Address, receiver_address: hci.Address, packet: ll.ControlPdu
     ) -> None:
-        """Forward link control."""
         if not self.is_cut and self.find_le_controller(receiver_address) is not None:
             super().send_ll_control_pdu(sender_address, receiver_address, packet)
 
@@ -113,7 +110,6 @@ class HciServer:
         return int(self._server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
-        """Stop listening and disconnect the hosts."""
         if self._server is not None:
             self._server.close()
             for writer in self._writers:

@@ -85,8 +85,6 @@ class BumbleScanner(BaseBleakScanner):
 
 
 class BumbleClient(BaseBleakClient):
-    """One connection."""
-
     device: ClassVar[Device]
 
     def __init__(self, address_or_ble_device: Any, **options: Any) -> None:

@@ -87,7 +87,6 @@ class Board:
             handler()
 
     def feed(self, timeout_ms: float) -> None:
-        """Reset the watchdog's timer."""
         self.watchdog_due = time.monotonic() + timeout_ms / 1000
 
     def start_guard(self) -> None:
@@ -127,7 +126,6 @@ class VirtualPin:
         return self._value
 
     def irq(self, handler: Callable[[Any], None], trigger: int) -> None:
-        """Call `handler` on an edge."""
         self._handler = handler
 
     def pulse(self) -> None:

@@ -47,8 +47,6 @@ def read_manifest(
     file name if that is unique among the inputs.
 
     Args:
-        path: the manifest.
-        sources: the inputs.
         layouts: enrolled names; `no_tag`, `unknown` and `ambiguous` may be expected, too.
         may_come: whether files may be missing because they can still arrive (a watched folder).
 

@@ -39,8 +39,6 @@ class Task:
 
 @dataclass(frozen=True)
 class Done:
-    """A task and its outcome."""
-
     task: Task
     outcome: Outcome
 
@@ -193,7 +191,6 @@ def _stop(executor: ProcessPoolExecutor) -> None:
 
 
 def _begin(job: Job) -> None:
-    """Set up a worker process."""
     global _job
     _job = job
 

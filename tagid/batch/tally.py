@@ -22,7 +22,6 @@ class Tally:
     """Counts over the records of a report.
 
     Attributes:
-        items: number of records.
         repeated: number of those that are copies of another one; `status`, `layout` and `caveats` count
             without them.
         status, layout, caveats: number of captures per status, per layout and per caveat.
@@ -43,7 +42,6 @@ class Tally:
     copies: dict[str, list[tuple[str, str | None]]] = field(default_factory=dict)
 
     def add(self, record: ItemRecord) -> None:
-        """Count one record."""
         self.items += 1
         if record.copy_of is None:
             self.status[record.status] += 1

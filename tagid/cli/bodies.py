@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli import enrolling
-from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.frame import Terminal, command
 from tagid.cli.outputs import check_drawing
 from tagid.counting import counted
 from tagid.errors import LayoutConflictError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
 
 
-@group_command("bodies")
+@command("bodies", is_group=True)
 def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden=True)] = None) -> Result:
     """List, draw and check enrolled bodies and objects; without a command, list them.
 
@@ -33,9 +33,7 @@ def bodies(terminal: Terminal, remove: Annotated[str | None, typer.Option(hidden
         return _removed("bodies", remove)
     registry = open_registry()
     contents = registry.contents()
-    table = Table(box=None)
-    for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
-        table.add_column(head)
+    table = Table("kind", "name", "radius mm", "turning dB", "error %", "captures", "label")
     for signature in contents.signatures:
         facts = _facts(signature)
         table.add_row(
@@ -127,7 +125,7 @@ def check(terminal: Terminal) -> Result:
     contents = open_registry().contents()
     pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
     pairs.sort(key=lambda pair: pair.difference)
-    table = Table("kind", "pair", "apart %", "remark", box=None)
+    table = Table("kind", "pair", "apart %", "remark")
     for pair in pairs:
         remark = "ALIKE" if pair.alike else ""
         table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.difference * 100:.1f}", remark)
@@ -162,7 +160,6 @@ def check(terminal: Terminal) -> Result:
 
 
 def _facts(signature: Signature) -> dict[str, Any]:
-    """Properties of a signature, for scripts."""
     from tagid.tags.bodies.likeness import least_tag
 
     return {

@@ -97,13 +97,7 @@ class _Listing:
                 yield Text(f"  {value}", no_wrap=True, overflow="ignore")
                 yield Text(f"  {meaning}", style="dim", no_wrap=True, overflow="ignore")
             return
-        table = Table(box=None)
-        for title in ("setting", "value", "from"):
-            table.add_column(title, no_wrap=True)
-        table.add_column("meaning", overflow="fold", ratio=1)
-        for row in self.rows:
-            table.add_row(*row)
-        yield table
+        yield Table("setting", "value", "from", "meaning", rows=self.rows, wraps=("meaning",))
 
 
 def _check_url(name: str, value: str) -> None:

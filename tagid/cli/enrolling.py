@@ -34,7 +34,6 @@ SHOWN = 6
 
 
 def direction_known() -> bool:
-    """Whether the direction of rotation is configured."""
     return bool(load_config({})["tags.direction"] == "known")
 
 
@@ -81,9 +80,7 @@ def neighbours(outlook: Outlook) -> Drawn:
 
     if not outlook.neighbours:
         return "no other layout is enrolled"
-    table = Table(box=None)
-    for head in ("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark"):
-        table.add_column(head, no_wrap=head != "remark")
+    table = Table("nearest enrolled", "worst mm", "RMS mm", "not told apart", "remark", wraps=("remark",))
     for neighbour in outlook.neighbours[: max(SHOWN, len(outlook.confusable))]:
         distance = neighbour.distance
         same = distance.worst_m < float("inf")
@@ -106,9 +103,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> Drawn:
     """The nearest other layout to each of several, as a table."""
     from tagid.report.table import Table
 
-    table = Table(box=None)
-    for head in ("layout", "nearest", "worst mm", "not told apart", "remark"):
-        table.add_column(head, no_wrap=head != "remark")
+    table = Table("layout", "nearest", "worst mm", "not told apart", "remark", wraps=("remark",))
     for outlook in outlooks:
         near = outlook.neighbours[0] if outlook.neighbours else None
         far = near is None or near.distance.worst_m == float("inf")
@@ -191,8 +186,6 @@ class Stored:
     def result(
         self, name: str, data: dict[str, Any], lines: Sequence[Drawn], messages: Sequence[str] = ()
     ) -> Result:
-        """As the result of a command."""
-
         human = [*([] if self.seen is None else [self.seen]), *([] if self.error else lines)]
         if self.error is None:
             return Result(name, data, human, messages=tuple(messages))

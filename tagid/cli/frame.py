@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 
 
 class Output(StrEnum):
-    """Output format of a result."""
-
     human = "human"
     json = "json"
 
@@ -140,43 +138,19 @@ def commands_of(module: str) -> list[Command]:
 
 
 def command(
-    name: str, formats: type[StrEnum] = Output, negative_arguments: bool = False
+    name: str, formats: type[StrEnum] = Output, negative_arguments: bool = False, is_group: bool = False
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Declare a function `(terminal, ...) -> Result` as a command with the common options added.
 
     A parameter whose type is a dataclass stands for options declared as its fields. An option that names
     itself no other has the name of its parameter.
     `formats` are the choices of --output: "human", "json" and, if the result has one, "csv". For
-    `negative_arguments` see `Command`.
+    `negative_arguments` and `is_group` see `Command`.
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        run = _with_common_options(name, function, formats)
-        declared = Command(name, run, _help_of(function), negative_arguments=negative_arguments)
-        _COMMANDS.setdefault(function.__module__, []).append(declared)
-        return function
-
-    return decorate
-
-
-def group_command(name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Declare a function to run when a command group is called without a command."""
-
-    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        run = _with_common_options(name, function, Output)
-
-        @functools.wraps(run)
-        def unless_named(context: typer.Context, **options: Any) -> None:
-            if context.invoked_subcommand is None:
-                run(**options)
-
-        bound = inspect.Parameter(
-            "context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context
-        )
-        parameters = [bound, *inspect.signature(run).parameters.values()]
-        unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
-        declared = Command(name, unless_named, _help_of(function), is_group=True)
+        run = _with_common_options(name, function, formats, is_group)
+        declared = Command(name, run, _help_of(function), is_group, negative_arguments)
         _COMMANDS.setdefault(function.__module__, []).append(declared)
         return function
 
@@ -191,7 +165,7 @@ def _help_of(function: Callable[..., Any]) -> str:
 
 
 def _with_common_options(
-    name: str, function: Callable[..., Result], formats: type[StrEnum]
+    name: str, function: Callable[..., Result], formats: type[StrEnum], is_group: bool
 ) -> Callable[..., None]:
     hints = typing.get_type_hints(function, include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "terminal"]
@@ -211,9 +185,13 @@ def _with_common_options(
         )
         for key, (default, kind, option) in added.items()
     ]
+    context = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
+    taken = [*([context] if is_group else ()), *unwrapped, *common]
 
     @functools.wraps(function)
-    def run(**options: Any) -> None:
+    def run(context: typer.Context | None = None, **options: Any) -> None:
+        if context is not None and context.invoked_subcommand is not None:
+            return
         terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
 
         def work() -> Result:
@@ -225,8 +203,8 @@ def _with_common_options(
         result = execute(name, terminal, work)
         raise typer.Exit(result.exit_code)
 
-    run.__signature__ = inspect.Signature(unwrapped + common)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in unwrapped + common}
+    run.__signature__ = inspect.Signature(taken)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in taken}
     return run
 
 

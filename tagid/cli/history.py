@@ -18,8 +18,6 @@ _SHOWN = 20
 
 
 class HistoryOutput(StrEnum):
-    """Output format of the list."""
-
     human = "human"
     json = "json"
     csv = "csv"
@@ -77,7 +75,7 @@ def history(
     entries = list(store.find(wanted))
     items = [entry.to_json() for entry in entries]
     data = {"history": str(store.path), "total": total, "items": items}
-    shown = Table("time (UTC)", "answer", "score", "margin", "by", "file", box=None)
+    shown = Table("time (UTC)", "answer", "score", "margin", "by", "file")
     shown.columns[0].no_wrap = True
     colours = {"identified": "green", "failed": "red"}
     for entry in entries:

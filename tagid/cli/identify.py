@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _ViewOptions:
-    """What is shown of an answer."""
-
     preview: options.Preview = False
     png: options.PngFile = None
     vote: Annotated[

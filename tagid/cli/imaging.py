@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from math import isfinite
 from pathlib import Path
@@ -11,6 +12,8 @@ from tagid.counting import counted
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
     from tagid.operate.turn import Answer
     from tagid.pipeline.answer import Identification
     from tagid.pipeline.reconstruct import Reconstruction
@@ -45,6 +48,35 @@ def in_terminal(result: Reconstruction) -> Drawn:
     image = result.image
     colour = colour_wanted(Console())
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
+
+
+class Screen:
+    """Draws frames with `draw(state, title, size, colour)`, and counts those of the live screen."""
+
+    def __init__(
+        self, console: Console, title: str, state: Callable[[], Any], draw: Callable[..., RenderableType]
+    ) -> None:
+        self._console, self._title, self._state, self._draw = console, title, state, draw
+        self._frames = 0
+        self._first_s = self._last_s = 0.0
+
+    def frame(self) -> RenderableType:
+        from tagid.report.preview import colour_wanted
+
+        size = (self._console.size.width, self._console.size.height)
+        return self._draw(self._state(), self._title, size, colour_wanted(self._console))
+
+    def counted_frame(self) -> RenderableType:
+        self._last_s = time.monotonic()
+        self._first_s = self._first_s or self._last_s
+        self._frames += 1
+        return self.frame()
+
+    def facts(self) -> dict[str, Any]:
+        """How many frames were counted, as JSON values."""
+        spent = self._last_s - self._first_s
+        rate = (self._frames - 1) / spent if spent > 0 else None
+        return {"frames": self._frames, "frames_per_second": rate}
 
 
 def describe(answer: Answer, name: str, verbose: bool, explain: bool = False) -> Drawn:

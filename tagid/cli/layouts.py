@@ -11,7 +11,7 @@ import typer
 
 from tagid.cli import enrolling
 from tagid.cli.enrolling import rate_in_words
-from tagid.cli.frame import Terminal, command, group_command
+from tagid.cli.frame import Terminal, command
 from tagid.cli.options import METRES
 from tagid.cli.outputs import check_drawing, check_new
 from tagid.counting import counted
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
 
 
-@group_command("layouts")
+@command("layouts", is_group=True)
 def layouts(
     terminal: Terminal,
     history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,
@@ -68,12 +68,8 @@ def _history() -> Result:
     from tagid.report.table import Table
 
     registry = open_registry()
-    table = Table(box=None)
-    for heading in ("version", "command", "time (UTC)", "change", "kind"):
-        table.add_column(heading, no_wrap=True)
-    # Long names and sources continue on the next line, nothing is cut.
-    table.add_column("name", overflow="fold")
-    table.add_column("source", overflow="fold")
+    heads = ("version", "command", "time (UTC)", "change", "kind", "name", "source")
+    table = Table(*heads, wraps=("name", "source"))
     names = ("version", "command", "time_utc", "action", "kind", "name", "source")
     rows = [{name: getattr(change, name) for name in names} for change in registry.history()]
     for row in rows:
@@ -88,7 +84,7 @@ def _list() -> Result:
 
     registry = open_registry()
     version, layouts = registry.snapshot()
-    table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label", box=None)
+    table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label")
     for layout in layouts:
         table.add_row(
             layout.name,
@@ -361,7 +357,6 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
 
 
 def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
-    """The number of entries as text."""
     parts = [f"{len(layouts)} layouts"]
     for kind, plural in (("body", "bodies"), ("object", "objects")):
         number = sum(signature.kind == kind for signature in signatures)
@@ -422,9 +417,7 @@ def check(terminal: Terminal) -> Result:
             nested.append(sorted((a, b), key=lambda layout: layout.size))
     pairs.sort(key=lambda pair: pair[1].distance.rms_m)
     bad = [pair for pair in pairs if pair[1].confusable]
-    table = Table(box=None)
-    for head in ("pair", "RMS mm", "worst mm", "not told apart", "remark"):
-        table.add_column(head, no_wrap=head != "remark")
+    table = Table("pair", "RMS mm", "worst mm", "not told apart", "remark", wraps=("remark",))
     for name, other in pairs[: max(10, len(bad))]:
         distance = other.distance
         remark = "CONFUSABLE" if other.confusable else ""

@@ -160,9 +160,7 @@ def capacity(
     from tagid.report.table import Table
 
     chosen, rules = target.object(), [target.rules(reflectors) for reflectors in (2, 3, 4)]
-    table = Table(box=None)
-    for head in ("recording", *(f"{r.reflectors} reflectors" for r in rules)):
-        table.add_column(head, no_wrap=True)
+    table = Table("recording", *(f"{r.reflectors} reflectors" for r in rules), wraps=())
     rows = []
     for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
         conditions = Conditions(views, snr_db, rules[0].height_weight)
@@ -256,7 +254,7 @@ def _designed(
     stored = None
     if not wish.dry_run:
         stored = enrolling.store_family(terminal, open_registry(), family.layouts, "design", wish)
-    table = Table("layout", "angles deg", "radii mm", "heights mm", box=None)
+    table = Table("layout", "angles deg", "radii mm", "heights mm")
     for layout in family.layouts:
         x, y = layout.positions.T
         angles = np.rad2deg(np.arctan2(y, x)) % 360
@@ -381,7 +379,7 @@ def reflector(
 def _table(solved: CrossSection) -> Drawn:
     from tagid.report.table import Table
 
-    table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees", box=None)
+    table = Table("GHz", "vertical dBsm", "horizontal dBsm, towards a tip", "at 45 degrees")
     half = len(solved.aspect_deg) // 2
     for i, frequency in enumerate(solved.frequency_hz):
         across = solved.horizontal[i]

@@ -59,10 +59,9 @@ def driven(url: MotionUrl | None, stopping: bool = False) -> DrivenMotion:
 
 
 def facts_table(facts: dict[str, Any]) -> Table:
-    """Two columns."""
     from tagid.report.table import Table
 
-    table = Table(box=None, show_header=False)
+    table = Table()
     for key, value in facts.items():
         shown = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
         shown = f"{shown:.4g}" if isinstance(shown, float) else str(shown)
@@ -106,7 +105,7 @@ def find(
             "use --motion free."
         )
         errors = (Problem("device", message, remedy),)
-    table = Table("where", "what", "signal", box=None)
+    table = Table("where", "what", "signal")
     for device in devices:
         table.add_row(
             device.where, device.what, "" if device.signal_dbm is None else f"{device.signal_dbm} dBm"

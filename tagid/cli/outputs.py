@@ -30,7 +30,6 @@ def check_own(path: Path, own: Callable[[Path], bool], what: str) -> None:
     """Check a file that may replace an earlier one of its kind, which its content tells.
 
     Args:
-        path: file to write.
         own: whether an existing file is of the kind.
         what: the kind, for messages, e.g. "an export of the history".
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Tag, radar and table of a recording."""
-
     reflector: Annotated[str, typer.Option(help="Reflectors of the tag, size from tip to tip.")] = (
         "octahedron:40mm"
     )
@@ -177,12 +175,8 @@ def _drawn(planned: Plan, snr: float, wanted: Wanted | None, want: float | None,
     from tagid.report.table import Table
 
     def table(rows: Iterable[Sequence[str | Text]]) -> Table:
-        made = Table(box=None, show_header=False)
-        made.add_column(no_wrap=True)
-        for row in rows:
-            made.add_row(*row)
-        for column in made.columns[1:]:
-            column.overflow = "fold"
+        made = Table(rows=rows)
+        made.columns[0].no_wrap = True
         return made
 
     budget = [
@@ -202,7 +196,6 @@ def _drawn(planned: Plan, snr: float, wanted: Wanted | None, want: float | None,
 
 
 def _rows(planned: Plan, snr: float) -> list[tuple[str, str]]:
-    """The outcome, line by line."""
     setup = planned.setup
     rows = [
         (

@@ -20,8 +20,6 @@ from tagid.errors import EXIT_DEVICE, EXIT_INTERRUPTED, EXIT_OK, UsageError
 from tagid.result import Problem, Result
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
-
     from tagid.radar.p440 import P440
     from tagid.radar.settings import RadarConfig
     from tagid.recording.long_recording import RecordingState
@@ -356,53 +354,28 @@ def monitor(
     return _watch(terminal, config, changing, seconds, interval_us)
 
 
-class _Screen:
-    """Draws snapshots and counts how often."""
-
-    def __init__(self, view: Monitor, title: str, console: Console) -> None:
-        from tagid.report.preview import colour_wanted
-
-        self._view, self._title, self._console = view, title, console
-        self._colour = colour_wanted(console)
-        self.frames = 0
-        self.first_s = self.last_s = 0.0
-
-    def __call__(self) -> RenderableType:
-        from tagid.report.waterfall import draw
-
-        self.last_s = time.monotonic()
-        self.first_s = self.first_s or self.last_s
-        self.frames += 1
-        size = self._console.size
-        return draw(self._view.snapshot(), self._title, (size.width, size.height), self._colour)
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Frames per second."""
-        spent = self.last_s - self.first_s
-        return (self.frames - 1) / spent if spent > 0 else None
-
-
 def _watch(
     terminal: Terminal, config: Config, changing: bool, seconds: float | None, interval_us: int
 ) -> Result:
     from rich.console import Console
     from rich.live import Live
 
+    from tagid.cli.imaging import Screen
     from tagid.recording.monitoring import Monitor
+    from tagid.report.waterfall import draw
 
     console = Console(stderr=True, highlight=False)
     with open_configured(config) as device:
         view = Monitor(device.config, config["radar.cable_delay_ps"], changing)
         view.temperature_c = device.status().temperature_c
-        screen = _Screen(view, f"tagid radar monitor {radar_url(config)}", console)
+        screen = Screen(console, f"tagid radar monitor {radar_url(config)}", view.snapshot, draw)
         try:
             if terminal.quiet or not console.is_terminal:
                 _receive(device, view, seconds, interval_us)
             else:
                 with Live(
-                    console=console, screen=True, refresh_per_second=_REFRESHES, get_renderable=screen,
-                    redirect_stdout=False, redirect_stderr=False,
+                    console=console, screen=True, refresh_per_second=_REFRESHES,
+                    get_renderable=screen.counted_frame, redirect_stdout=False, redirect_stderr=False,
                 ):  # fmt: skip
                     _receive(device, view, seconds, interval_us)
         except KeyboardInterrupt:
@@ -418,8 +391,7 @@ def _watch(
         "lost": last.lost,
         "lost_fraction": last.lost_fraction,
         "temperature_c": last.temperature_c,
-        "frames": screen.frames,
-        "frames_per_second": screen.rate_hz,
+        **screen.facts(),
     }
     text = f"{last.scans} scans in {last.seconds:.1f} s, {last.lost} lost, {last.strongest}"
     return Result("radar monitor", data, text)

@@ -31,8 +31,6 @@ _SAME_PATH_M = 1.0
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is calibrated, and how."""
-
     distance: Annotated[
         float | None,
         typer.Option(parser=METRES, help="Measured distance from the antennas to the target, metres."),

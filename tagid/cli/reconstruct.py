@@ -50,8 +50,6 @@ class _MethodOptions:
 
 @dataclass(frozen=True)
 class _PictureOptions:
-    """The size of the image and where it goes."""
-
     extent: Annotated[
         float | None, typer.Option(parser=METRES, help="Width and height of the image, metres.")
     ] = None
@@ -63,8 +61,6 @@ class _PictureOptions:
 
 @dataclass(frozen=True)
 class _ImageOptions:
-    """How the scans become the image."""
-
     focus: Annotated[bool, typer.Option(help="Estimate the axis distance, or the path delay.")] = True
     preset: Annotated[str, typer.Option(help="Variant of ats: field, or paper (as published, slow).")] = (
         "field"
@@ -289,7 +285,6 @@ def _check_combined(how: _MethodOptions, wanted: _ImageOptions, volume: _VolumeO
 
 
 def _given_among(options: Mapping[str, object]) -> list[str]:
-    """The options that were given."""
     return [option for option, given in options.items() if given]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
@@ -24,16 +23,14 @@ from tagid.result import Problem, Result
 from tagid.workers import Worker
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
     from rich.live import Live
 
-    from tagid.capture import Capture
+    from tagid.cli.imaging import Screen
     from tagid.live.engine import LiveSettings, LiveView
     from tagid.metadata import ObjectInfo
     from tagid.operate.turn import Answer, Recorded
     from tagid.operate.workplace import Workplace
     from tagid.recording.plan import RecordingPlan
-    from tagid.recording.recorder import Watch
     from tagid.result import Drawn
 
 MAX_REPEAT = 100
@@ -243,15 +240,16 @@ def _record_and_read(
     if view.until_sure:
         check_angle_known(motion, plan.motion)
         plan = replace(plan, spent=SPENT)
-    live: _LiveScan | None = None
+    live: LiveView | None = None
+    figures: dict[str, Any] | None = None
     early: EarlyEnding | None = None
     with ExitStack() as showing:
         watch = Watch(resolve=resolve_turn)
         needs = LiveSettings(motion, enrolled.layouts, enrolled.signatures, enrolled.version, setup.imaging)
         if view.live:
             title = f"tagid scan --live   {place.radar_url()}"
-            live = showing.enter_context(_live_scan(terminal, needs, title))
-            watch = live.watching(watch, resolve_turn)
+            live, screen = showing.enter_context(_live_scan(terminal, needs, title))
+            watch = replace(watch, began=live.began, resolve=live.resolving(resolve_turn))
         else:
             advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
             watch = replace(watch, progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"))
@@ -260,13 +258,15 @@ def _record_and_read(
             watch = early.watching(watch)
         recorded = record_turn(place, plan, motion, watch)
         if live is not None and view.until_sure:
-            live.view.note(f"ended {ending_words(recorded.capture.radar.ended)}")
+            live.note(f"ended {ending_words(recorded.capture.radar.ended)}")
         try:
-            answer = read(setup, recorded.capture, recorded.path, None if live is None else live.view)
+            answer = read(setup, recorded.capture, recorded.path, live)
         except KeyboardInterrupt as stop:
             raise interrupts.stopped_by_user(stop, _kept(recorded.path)) from stop
     messages = () if early is None or not early.remark else (early.remark,)
-    return recorded, answer, None if live is None else live.facts(), messages
+    if live is not None:
+        figures = screen.facts() | {"answer_after_last_scan_s": live.state.answer_after_s}
+    return recorded, answer, figures, messages
 
 
 def _kept(path: Path) -> str:
@@ -278,37 +278,15 @@ _FRAME_S = 0.1
 _JOIN_S = 5.0
 
 
-@dataclass
-class _LiveScan:
-    """A scan with a live view; counts the frames drawn, and keeps the times of the first and the last, s."""
-
-    view: LiveView
-    frames: int = 0
-    first_s: float = 0.0
-    last_s: float = 0.0
-
-    def watching(self, watch: Watch, resolve: Callable[[Capture, str], Capture]) -> Watch:
-        """The callbacks of a recording with those of the view added."""
-        return replace(watch, began=self.view.began, resolve=self.view.resolving(resolve))
-
-    def facts(self) -> dict[str, Any]:
-        """Figures of the live view, as JSON values."""
-        spent = self.last_s - self.first_s
-        return {
-            "frames": self.frames,
-            "frames_per_second": (self.frames - 1) / spent if spent > 0 else None,
-            "answer_after_last_scan_s": self.view.state.answer_after_s,
-        }
-
-
 @contextmanager
-def _live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterator[_LiveScan]:
-    """A live view that is drawn while the block runs, where stderr is a terminal."""
+def _live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterator[tuple[LiveView, Screen]]:
+    """A live view that is drawn while the block runs, where stderr is a terminal, and its screen."""
     from rich.console import Console, ConsoleDimensions
     from rich.live import Live
 
+    from tagid.cli.imaging import Screen
     from tagid.live.engine import LiveView
-    from tagid.report.live_screen import bounded
+    from tagid.report.live_screen import bounded, draw
 
     class BoundedConsole(Console):
         """A terminal may state any size, and every cell of the screen is drawn in every frame."""
@@ -319,23 +297,24 @@ def _live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterat
 
     console = BoundedConsole(stderr=True, highlight=False)
     with ExitStack() as stack:
-        shown = _LiveScan(stack.enter_context(LiveView(settings)))
+        view = stack.enter_context(LiveView(settings))
+        screen = Screen(console, title, lambda: view.state, draw)
         if console.is_terminal and not terminal.quiet:
             # The last frame stays in view below the other output; the live screen is erased.
-            stack.callback(lambda: console.print(_frame(shown, title, console)))
+            stack.callback(lambda: console.print(screen.frame()))
             live = Live(
                 console=console,
                 screen=True,
                 auto_refresh=False,
-                get_renderable=lambda: _drawn(shown, title, console),
+                get_renderable=screen.counted_frame,
                 redirect_stdout=False,
                 redirect_stderr=False,
             )
-            stack.enter_context(_Screen(shown.view, stack.enter_context(live)))
-        yield shown
+            stack.enter_context(_Refreshing(view, stack.enter_context(live)))
+        yield view, screen
 
 
-class _Screen:
+class _Refreshing:
     """Draws each new state in a separate thread, so that a blocked terminal blocks nothing else."""
 
     def __init__(self, view: LiveView, live: Live) -> None:
@@ -343,7 +322,7 @@ class _Screen:
         self._ended = threading.Event()
         self._worker = Worker(self._work, "live-screen", lambda error: view.note("the live screen stopped"))
 
-    def __enter__(self) -> _Screen:
+    def __enter__(self) -> _Refreshing:
         with suppress(RuntimeError):
             self._worker.start()
         return self
@@ -358,21 +337,6 @@ class _Screen:
             if (frame := self._view.state.frame) != drawn:
                 drawn = frame
                 self._live.refresh()
-
-
-def _drawn(shown: _LiveScan, title: str, console: Console) -> RenderableType:
-    shown.last_s = time.monotonic()
-    shown.first_s = shown.first_s or shown.last_s
-    shown.frames += 1
-    return _frame(shown, title, console)
-
-
-def _frame(shown: _LiveScan, title: str, console: Console) -> RenderableType:
-    from tagid.report.live_screen import draw
-    from tagid.report.preview import colour_wanted
-
-    size = (console.size.width, console.size.height)
-    return draw(shown.view.state, title, size, colour_wanted(console))
 
 
 def _truth_of(url: str, file: Path | None) -> ObjectInfo | None:

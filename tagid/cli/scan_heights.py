@@ -123,7 +123,6 @@ def scan_heights(
 
 
 def _record(terminal: Terminal, place: Workplace, plan: RecordingPlan, url: str) -> Recorded:
-    """Record one revolution from one height."""
     from tagid.motion.urls import open_motion
     from tagid.operate.turn import record_turn
     from tagid.recording.recorder import Watch

@@ -61,7 +61,6 @@ def show(
     summary = inspect(capture)
     turns = summary.changes or capture.angles_rad is not None
     draw_recording(thinned(capture)[0], target, file.name, changing_only=changing, turning=turns)
-    table = Table(show_header=False, box=None)
     compared = None
     distance_m, noise, snr_db = capture.axis_distance_m, summary.noise, summary.snr_db
     if reflector is not None and distance_m is not None and noise is not None and snr_db is not None:
@@ -80,8 +79,6 @@ def show(
         rows += [("plan", levels), *([("likely cause", compared.cause)] if compared.cause else [])]
     elif reflector is not None:
         rows.append(("plan", _not_compared(capture, summary)))
-    for name, text in rows:
-        table.add_row(name, text)
     strongest = summary.strongest
     data = {
         "file": str(file),
@@ -108,7 +105,7 @@ def show(
     messages = intake_remarks(capture) + loading.against_the_rig(capture)
     if summary.every > 1:
         messages += (f"SNR, period and picture are from every {summary.every}th scan",)
-    return Result("show", data, [table, f"picture {target}"], messages=messages)
+    return Result("show", data, [Table(rows=rows), f"picture {target}"], messages=messages)
 
 
 def _not_compared(capture: Capture, summary: RecordingSummary) -> str:

@@ -142,11 +142,9 @@ class LiveView:
         self._publish(phase=Phase.READING)
 
     def note(self, text: str) -> None:
-        """Show a remark."""
         self._publish(note=text)
 
     def fail(self, error: TagidError) -> None:
-        """Report that the scan ended with an error."""
         self._publish(phase=Phase.FAILED, note=f"{error.message}. {error.remedy}".strip())
 
     def close(self) -> None:

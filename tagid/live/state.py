@@ -44,7 +44,6 @@ class LiveState:
     """State of a recording at one time.
 
     Attributes:
-        phase: phase of the scan.
         frame: number of the state, increasing.
         scans, lost: complete scans and lost ones.
         seconds: from the first scan to the last, by the radar's clock, s.

@@ -63,7 +63,6 @@ class GrowingViews:
 
     @property
     def count(self) -> int:
-        """Number of views."""
         return self._image.views
 
     def update(

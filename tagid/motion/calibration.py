@@ -31,7 +31,6 @@ class Calibration:
         wheel_base_mm: value for which the odometry is correct.
         sigma: its relative standard deviation.
         turns: number of turns used.
-        date_utc: date of the calibration.
     """
 
     wheel_base_mm: float

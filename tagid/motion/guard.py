@@ -31,12 +31,10 @@ LOG_WARNING = 12
 
 
 def now() -> float:
-    """Time, s."""
     return time.clock_gettime(BOOT_CLOCK)
 
 
 def tell(mark: bytes) -> None:
-    """Tell the driver."""
     with suppress(OSError):
         os.write(1, mark)
 
@@ -88,8 +86,6 @@ class Watch(NamedTuple):
 
 
 class Guard:
-    """Watches one driver."""
-
     def __init__(self, watch: Watch) -> None:
         self.watch = watch
         self.servers: list[socket.socket] = []
@@ -150,7 +146,6 @@ class Guard:
         return True
 
     def answer(self, text: bytes) -> None:
-        """Answer all requests."""
         while self.askers:
             with self.askers.pop() as line, suppress(OSError):
                 line.sendall(text)
@@ -201,7 +196,6 @@ class Guard:
                 self.report(self.command.wait())
 
     def report(self, code: int) -> None:
-        """The command has ended."""
         self.command = None
         self.answer(b"failed" if code else b"stopped")
         if code:
@@ -215,7 +209,6 @@ class Guard:
 
 
 def main() -> None:
-    """Read the parameters and watch."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     text = b""

@@ -73,8 +73,6 @@ class SerialLink(ByteLink):
     """A serial port, 8N1.
 
     Args:
-        port: device path or name.
-        baud: baud rate.
         halt: bytes that a helper process writes if this process dies or hangs while armed.
 
     Raises:

@@ -57,7 +57,6 @@ class Options(Query):
     stopping: bool = False
 
     def wrong(self, why: str) -> UsageError:
-        """The error for this URL."""
         return bad_url(self.url, why)
 
     def secret(self) -> Secret | None:
@@ -89,7 +88,6 @@ class Options(Query):
         return recall_reversed(device) if given is None and not self.stopping else bool(given)
 
     def done(self) -> None:
-        """Raise UsageError for an option that was not taken."""
         if self.passkey:
             raise self.wrong("option 'passkey' is unknown")
         super().done()

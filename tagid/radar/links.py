@@ -123,7 +123,6 @@ class UdpLink:
 
     Args:
         host: name or IPv4 address of the radar.
-        port: the radar's UDP port.
         local_port: port to receive on; 0 selects any free one.
 
     Raises:
@@ -203,5 +202,4 @@ class UdpLink:
         """Nothing to do: a UDP socket survives a restart of the radar."""
 
     def close(self) -> None:
-        """Close the port."""
         self._socket.close()

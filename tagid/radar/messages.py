@@ -36,8 +36,6 @@ MAX_PACKET_BYTES: Final = 1452
 
 
 class Status(enum.IntEnum):
-    """Status codes of confirms (P440 MRM API)."""
-
     OK = 0
     GENERIC = 1
     WRONG_OPMODE = 2
@@ -182,7 +180,6 @@ class MessageSpec:
     """Layout of one message type.
 
     Attributes:
-        type: its type number.
         dtype: the layout to send, type and id included.
         older: other layouts accepted on receipt; missing fields read as zero.
     """
@@ -193,7 +190,6 @@ class MessageSpec:
 
     @property
     def name(self) -> str:
-        """The message's name in the API."""
         return self.type.name
 
     @property
@@ -280,7 +276,6 @@ class Message:
     """One decoded message.
 
     Attributes:
-        type: its type.
         id: message id, 0..65535; a confirm carries the id of its request.
         fields: structured scalar in the dtype of `MESSAGES[type]`, an independent copy.
     """
@@ -291,7 +286,6 @@ class Message:
 
     @property
     def name(self) -> str:
-        """The message's name in the API."""
         return self.type.name
 
     def __getitem__(self, field: str) -> int:

@@ -78,7 +78,6 @@ class Patience:
         return max(min(self._quiet_at, self._whole_at, self._asked + STOP_POLL_S) - self._now, 0.0)
 
     def heard(self) -> None:
-        """Note that a fragment arrived."""
         self._quiet_at = time.monotonic() + self.quiet_s
 
     def renew(self, whole_scans: int) -> None:
@@ -89,7 +88,6 @@ class Patience:
         self._whole_at = self._now + self.whole_s
 
     def silent(self) -> bool:
-        """Whether no fragment arrived for too long."""
         return self._now >= self._quiet_at
 
     def fruitless(self) -> bool:

@@ -118,7 +118,6 @@ class SerialLink:
         self._serial = _open(self.port)
 
     def close(self) -> None:
-        """Release the port."""
         line, self._serial = self._serial, None
         if line is not None:
             try:

@@ -87,7 +87,6 @@ class RadarOptions(Query):
     remedy: str = WHAT_WORKS
 
     def wrong(self, why: str) -> UsageError:
-        """The error for this radar."""
         return UsageError(masked(f"{self.source[:200]}: {why}"), self.remedy)
 
 

@@ -181,12 +181,12 @@ def lost_scans(capture: Capture) -> int | None:
     return max(counted, gaps or 0)
 
 
-def thinned(capture: Capture, most_bytes: int = MOST_BYTES) -> tuple[Capture, int]:
-    """(capture of every n-th view, n) whose samples take at most `most_bytes`; n is 1 if all fit.
+def thinned(capture: Capture) -> tuple[Capture, int]:
+    """(capture of every n-th view, n) whose samples take at most `MOST_BYTES`; n is 1 if all fit.
 
     Plotting or inspecting a recording needs several times the memory of its samples.
     """
-    every = max(1, -(-capture.samples.nbytes // most_bytes))
+    every = max(1, -(-capture.samples.nbytes // MOST_BYTES))
     return (capture, 1) if every == 1 else (capture.select(slice(None, None, every)), every)
 
 

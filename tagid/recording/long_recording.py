@@ -11,7 +11,6 @@ from pathlib import Path
 
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import StorageError
-from tagid.metadata import ScanGap
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.recording.intake import host_limit
@@ -62,13 +61,10 @@ class RecordingWatch:
         progress: called about twice per second of scans.
         stop: called about ten times per second, also while no scan arrives; True ends the recording, which is
             complete if it had no limit.
-        gap, named: as in `tagid.recording.recorder.Watch`.
     """
 
     progress: Callable[[RecordingState], None] = lambda state: None
     stop: Callable[[], bool] = lambda: False
-    gap: Callable[[ScanGap], None] = lambda gap: None
-    named: Callable[[Path], None] = lambda path: None
 
 
 def part_path(first: Path, part: int) -> Path:
@@ -114,7 +110,7 @@ def record_long(
         )
         return written, written.views, written.paths
 
-    return run_recording(radar, plan, path, receive, write, gap=watch.gap, named=watch.named)
+    return run_recording(radar, plan, path, receive, write)
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:

@@ -72,7 +72,6 @@ class Snapshot:
 
     @property
     def lost_fraction(self) -> float:
-        """Fraction of the expected scans that were lost."""
         return self.lost / max(self.scans + self.lost, 1)
 
 
@@ -80,7 +79,6 @@ class Monitor:
     """Receives scans and returns snapshots; safe to use from two threads, in bounded memory.
 
     Args:
-        config: settings of the radar.
         cable_delay_ps: two-way delay subtracted from the ranges, ps.
         changing: subtract the running mean, to show only changes.
         clock: returns the time, s.
@@ -113,7 +111,6 @@ class Monitor:
         self.note = ""
 
     def add(self, scan: Scan, statistics: Statistics) -> None:
-        """Process one scan."""
         now = self._clock()
         clip = self._config.clip_counts
         clipped = int(np.count_nonzero((scan.samples >= clip) | (scan.samples <= -clip)))
@@ -143,7 +140,6 @@ class Monitor:
             self._snr = self._judged()
 
     def snapshot(self) -> Snapshot:
-        """A snapshot of the current state."""
         now = self._clock()
         with self._lock:
             rows = np.array(self._rows) if self._rows else np.zeros((0, self._config.samples), np.float32)

@@ -86,10 +86,9 @@ def journal_beside(path: Path) -> Path:
 
 
 def capture_beside(journal_path: Path) -> Path:
-    """The capture file for a journal."""
     return journal_path.with_name(journal_path.name.removesuffix(JOURNAL_SUFFIX) + CAPTURE_SUFFIX)
 
 
-def capture_path(folder: Path, now: float | None = None) -> Path:
+def capture_path(folder: Path) -> Path:
     """The path of a new capture file, named after the second; a plan with `renumber` makes it unique."""
-    return folder / time.strftime(f"scan-%Y%m%d-%H%M%S{CAPTURE_SUFFIX}", time.localtime(now))
+    return folder / time.strftime(f"scan-%Y%m%d-%H%M%S{CAPTURE_SUFFIX}")

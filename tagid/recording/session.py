@@ -77,8 +77,8 @@ def run_recording(
     receive: Callable[[Session], bool],
     write: Callable[[Recorded], Written[_Result]],
     *,
-    gap: Callable[[ScanGap], None],
-    named: Callable[[Path], None],
+    gap: Callable[[ScanGap], None] = lambda gap: None,
+    named: Callable[[Path], None] = lambda path: None,
 ) -> _Result:
     """Record into a journal, write its capture files, and remove it once they were read back and compared.
 

@@ -79,7 +79,6 @@ class Canvas:
         return float(_font(size * OVERSAMPLING).getlength(text)) / OVERSAMPLING
 
     def line(self, points: Sequence[Point], colour: RGB = INK, width: float = 1.5) -> None:
-        """A polyline through points."""
         scaled = [(x * OVERSAMPLING, y * OVERSAMPLING) for x, y in points]
         self._draw.line(scaled, fill=colour, width=max(1, round(width * OVERSAMPLING)), joint="curve")
 
@@ -88,7 +87,6 @@ class Canvas:
         self._draw.rectangle([round(v * OVERSAMPLING) for v in box], fill=fill)
 
     def circle(self, at: Point, radius: float, colour: RGB, width: float = 2.5) -> None:
-        """An open circle."""
         x, y, r = (v * OVERSAMPLING for v in (*at, radius))
         self._draw.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=round(width * OVERSAMPLING))
 
@@ -102,7 +100,6 @@ class Canvas:
         self._image.paste(picture.resize((right - left, bottom - top), how), (left, top))
 
     def png(self) -> bytes:
-        """The finished picture as the bytes of a PNG file."""
         buffer = io.BytesIO()
         self._image.reduce(OVERSAMPLING).save(buffer, format="PNG")
         return buffer.getvalue()

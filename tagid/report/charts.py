@@ -39,7 +39,6 @@ def draw_recording(
     range step: sampling rate = c / (2 step).
 
     Args:
-        capture: the recording.
         path: the PNG; written atomically.
         title: one line above the charts, truncated if too long.
         changing_only: draw the scans without the mean scan; otherwise leakage and room hide a rotating tag.

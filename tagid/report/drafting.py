@@ -36,8 +36,6 @@ class Line:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle, mm; filled or open."""
-
     centre: tuple[float, float]
     radius: float
     width: float = 0.3
@@ -84,7 +82,6 @@ class Drawing:
             raise UsageError(f"a drawing of {self.width:.0f} x {self.height:.0f} mm cannot be made")
 
     def add(self, *marks: Mark) -> None:
-        """Put marks on the sheet."""
         self.marks.extend(marks)
 
     def cross(self, at: tuple[float, float], half: float) -> None:
@@ -194,7 +191,6 @@ def _touches(mark: Mark, tile: Tile) -> bool:
 
 
 def _raster(drawing: Drawing, dpi: float) -> Image.Image:
-    """The drawing as a grey raster."""
     scale = dpi / MM_PER_INCH
     image = Image.new("L", (round(drawing.width * scale), round(drawing.height * scale)), 255)
     pen = ImageDraw.Draw(image)

@@ -62,11 +62,9 @@ def write_page(
     """Write report.html atomically.
 
     Args:
-        path: the file.
         items: gives all items in the order of the inputs, their records with expected answers; called often.
         pictures: gives image and sinogram, PNG, of the item at a position.
         summary: content of summary.json.
-        settings: of the page.
 
     Raises StorageError, DiskFullError.
     """
@@ -188,7 +186,7 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _number(value: float | None, digits: int = 2) -> str:
+def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:,.{digits}f}".replace(",", "\u202f")
 
 

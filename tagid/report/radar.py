@@ -32,10 +32,7 @@ def info_table(url: str, radar: RadarSurvey) -> Table:
         rows["up for"] = _duration(radar.uptime_s)
     if radar.config is not None:
         rows |= _settings_rows(radar.config)
-    table = Table(show_header=False, box=None)
-    for name, text in rows.items():
-        table.add_row(name, Text(text))
-    return table
+    return Table(rows=[(name, Text(text)) for name, text in rows.items()])
 
 
 def _settings_rows(config: RadarConfig) -> dict[str, str]:
@@ -52,8 +49,7 @@ def _settings_rows(config: RadarConfig) -> dict[str, str]:
 
 
 def found_table(radars: Sequence[FoundRadar]) -> Table:
-    """Table of the radars found."""
-    table = Table("radar", "where", "serial", "MRM", "temperature", "self test", box=None)
+    table = Table("radar", "where", "serial", "MRM", "temperature", "self test")
     for radar in radars:
         s = radar.status
         if s is None:
@@ -90,7 +86,7 @@ def settings_table(
     before: RadarConfig, asked: Mapping[str, int], taken: RadarConfig, cable_delay_ps: float
 ) -> Table:
     """One line per setting; deviations from the request are marked, start and stop also in metres."""
-    table = Table("setting", "before", "asked", "taken", "meaning", box=None)
+    table = Table("setting", "before", "asked", "taken", "meaning")
     old, new = asdict(before), asdict(taken)
     for name, meaning in _MEANING.items():
         wanted = asked.get(name)
@@ -131,7 +127,7 @@ def calibration_table(
     previous_ps: float | None = None,
 ) -> Table:
     """Delay before, in ps, and measured, in ps and as range correction, and noise of the empty scene."""
-    table = Table(show_header=False, box=None)
+    table = Table()
     if estimate is not None:
         e = estimate
         if previous_ps is not None:

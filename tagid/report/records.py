@@ -162,7 +162,6 @@ class ItemRecord:
 
     @property
     def total_s(self) -> float:
-        """Seconds of all stages."""
         return round(float(sum(self.document["seconds"].values())), 4)
 
     @property

@@ -16,12 +16,12 @@ COLOURS = (BLUE, GREEN, ORANGE)
 ASPECTS = 360
 
 
-def pattern_db(signature: Signature, aspects: int = ASPECTS) -> NDArray[np.float64]:
-    """(F, aspects) level of the echo over azimuth in the object's frame, dB of each frequency's largest.
+def pattern_db(signature: Signature) -> NDArray[np.float64]:
+    """(F, ASPECTS) level of the echo over azimuth in the object's frame, dB of each frequency's largest.
 
     The pulse's spectrum is part of every signature, so levels at different frequencies are not comparable.
     """
-    azimuth = 2 * np.pi * np.arange(aspects) / aspects
+    azimuth = 2 * np.pi * np.arange(ASPECTS) / ASPECTS
     echo = np.abs(signature.harmonics @ angular(azimuth, signature.order).T)
     return np.asarray(20 * np.log10(np.maximum(echo / echo.max(axis=1, keepdims=True), 1e-6)))
 

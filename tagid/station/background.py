@@ -10,11 +10,7 @@ from tagid.workers import Worker
 
 
 class BackgroundRun(ABC):
-    """One piece of work.
-
-    Args:
-        name: of its thread.
-    """
+    """One piece of work."""
 
     def __init__(self, name: str) -> None:
         self._stop = threading.Event()
@@ -29,12 +25,10 @@ class BackgroundRun(ABC):
         self._stop.set()
 
     def join(self, seconds: float) -> None:
-        """Wait for its end."""
         self._thread.join(seconds)
 
     @property
     def running(self) -> bool:
-        """Whether it still works."""
         return self._thread.alive
 
     @abstractmethod

@@ -71,7 +71,6 @@ class Taken:
 
     Attributes:
         number: counts the captures of the enrollment.
-        path: its file.
         answer: how it was read: an object that is not enrolled is unknown.
         sighted: its reflectors; None if they cannot be determined, and why not in `error`.
     """

@@ -39,7 +39,6 @@ class Hub:
             self._post(client, "frame", wire.to_text(wire.frame(run)))
 
     def remove(self, client: Client) -> None:
-        """Remove a connection."""
         self._clients.discard(client)
 
     def refresh(self) -> None:
@@ -99,14 +98,11 @@ class Client:
 
 
 class LiveSocket:
-    """The WebSocket connections."""
-
     def __init__(self, station: Station, hub: Hub) -> None:
         self._station, self._hub = station, hub
         self._open = 0
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve one connection until it ends."""
         if self._open >= MAX_CONNECTIONS:
             full = f"{MAX_CONNECTIONS} pages are connected to the station"
             refusal = refused(503, "too_many_connections", full, "Close one of them.")

@@ -62,7 +62,6 @@ _TYPES: dict[str, Json] = {
 
 
 def document() -> Json:
-    """The OpenAPI document."""
     paths: dict[str, Json] = {}
     for operation in OPERATIONS:
         path = re.sub(r":\w+}", "}", operation.path)

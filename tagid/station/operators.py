@@ -67,7 +67,6 @@ class Operators:
             return False
 
     def release(self, key: str) -> None:
-        """Release the lock."""
         with self._lock:
             if self._operator == key:
                 self._operator = None

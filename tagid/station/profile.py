@@ -44,7 +44,6 @@ class Profile:
         moving_db: the same of what changes.
         axis_m: distance of the rotation axis, m; None if it is not set.
         object_m: nearest and farthest range of the image, m; None if the axis distance is not set.
-        scans: number of scans.
         error: why it ended; None if it did not, or ended as requested.
     """
 

@@ -64,8 +64,6 @@ class ReportRun(BackgroundRun):
 
 
 class Reports:
-    """The station's reports."""
-
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._runs: dict[int, ReportRun] = {}

@@ -187,7 +187,6 @@ class Operation:
     refused: tuple[int, ...]
 
     async def respond(self, station: Station, request: Request) -> Response:
-        """The response to a request."""
         content = await self.handler(station, request)
         if isinstance(content, bytes):
             return Response(content, self.status, media_type=self.answer)
@@ -238,7 +237,6 @@ def attached(content: bytes | str, media_type: str, name: str) -> Response:
 
 
 def refused(status: int, code: str, message: str, remedy: str) -> Response:
-    """An error response."""
     return JSONResponse({"error": Problem(code, message, remedy).to_json()}, status_code=status)
 
 
@@ -257,7 +255,6 @@ def refusal_of(error: Exception, place: str) -> Refusal:
 
 
 async def on_error(request: Request, error: Exception) -> Response:
-    """The response for an exception of a handler."""
     refusal = refusal_of(error, request.url.path)
     return JSONResponse({"error": refusal.entry}, status_code=refusal.status)
 

@@ -110,7 +110,6 @@ class Pairing:
         return token
 
     def knows(self, token: str) -> bool:
-        """Whether a token is valid."""
         digest = _digest(token)
         return any(hmac.compare_digest(digest, token) for token in self._tokens)
 
@@ -180,7 +179,6 @@ class Guard:
             self._hosts |= names
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request, then pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return

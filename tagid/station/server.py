@@ -141,7 +141,6 @@ class StationHttp(H11Protocol):
         return bool(self._state.get("queued"))
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End the connection."""
         self._read_again()
         super().connection_lost(exc)
 
@@ -152,7 +151,6 @@ class StationHttp(H11Protocol):
         self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """The client reads again."""
         super().resume_writing()
         self._read_again()
 
@@ -227,12 +225,10 @@ class StationSocket(WSProtocol):
         return not self._flooding
 
     def handle_message(self, event: Any) -> None:
-        """Pass a message on, or a part of one."""
         if self._allowed():
             super().handle_message(event)
 
     def handle_pong(self, event: Any) -> None:
-        """Note a reply to a ping."""
         if self._allowed():
             super().handle_pong(event)
 

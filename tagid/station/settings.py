@@ -167,7 +167,6 @@ class Settings:
 
 
 def shown_settings(config: Config) -> tuple[Shown, ...]:
-    """The settings of the page with their values."""
     shown = []
     for name in NAMES:
         entry = config.values[name]

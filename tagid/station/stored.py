@@ -171,6 +171,5 @@ class ReplayRun(Run):
 
 
 def _with(config: Config, changes: dict[str, str]) -> Config:
-    """A configuration with other values."""
     values = {name: ConfigValue(value, "command line") for name, value in changes.items()}
     return replace(config, values={**config.values, **values})

@@ -17,7 +17,7 @@ from tagid.report.pdf import to_pdf
 from tagid.station import wire
 from tagid.station.enrolling import Subject
 from tagid.station.errors import NoSuchItemError
-from tagid.station.requests import Handler, Operations, attached, body, flag_of, key_of, text_of
+from tagid.station.requests import Body, Handler, Operations, attached, body, flag_of, key_of, text_of
 from tagid.station.station import Station
 from tagid.tags.layouts.layout import Layout
 
@@ -38,6 +38,15 @@ def _act(name: str, summary: str, asked: str = "Keyed") -> Callable[[Handler], H
     return API.post(_PLACE + name, summary, asked, 200, "Enrolment")
 
 
+async def _changed(
+    station: Station, asked: Body, change: Callable[..., object], *values: object
+) -> wire.Json:
+    """The enrollment after a change that the operator asked for."""
+    station.operate(key_of(asked))
+    await run_in_threadpool(change, *values)
+    return wire.enrolment(station.enrolling.state)
+
+
 @API.get(_PLACE, "State of the enrolment", "Enrolment")
 async def state(station: Station, request: Request) -> wire.Json:
     return wire.enrolment(station.enrolling.state)
@@ -47,10 +56,7 @@ async def state(station: Station, request: Request) -> wire.Json:
 async def describe(station: Station, request: Request) -> wire.Json:
     asked = await body(request)
     words = text_of(asked, "name", None), text_of(asked, "kind", "other"), text_of(asked, "label")
-    key, subject = key_of(asked), Subject(*words)
-    station.operate(key)
-    await run_in_threadpool(station.enrolling.describe, subject)
-    return wire.enrolment(station.enrolling.state)
+    return await _changed(station, asked, station.enrolling.describe, Subject(*words))
 
 
 @API.post(
@@ -67,32 +73,23 @@ async def drop(station: Station, request: Request) -> wire.Json:
     number = asked.get("number")
     if not isinstance(number, int) or isinstance(number, bool):
         raise UsageError("number must be the number of a capture")
-    station.operate(key_of(asked))
-    await run_in_threadpool(station.enrolling.drop, number)
-    return wire.enrolment(station.enrolling.state)
+    return await _changed(station, asked, station.enrolling.drop, number)
 
 
 @_act("/store", "Enroll the object", "Store")
 async def store(station: Station, request: Request) -> wire.Json:
     asked = await body(request)
-    force = flag_of(asked, "force")
-    station.operate(key_of(asked))
-    await run_in_threadpool(station.enrolling.store, force)
-    return wire.enrolment(station.enrolling.state)
+    return await _changed(station, asked, station.enrolling.store, flag_of(asked, "force"))
 
 
 @_act("/undo", "Undo the last enrollment of the station")
 async def undo(station: Station, request: Request) -> wire.Json:
-    station.operate(key_of(await body(request)))
-    await run_in_threadpool(station.enrolling.undo)
-    return wire.enrolment(station.enrolling.state)
+    return await _changed(station, await body(request), station.enrolling.undo)
 
 
 @_act("/cancel", "End the enrollment without storing anything")
 async def cancel(station: Station, request: Request) -> wire.Json:
-    station.operate(key_of(await body(request)))
-    station.enrolling.cancel()
-    return wire.enrolment(station.enrolling.state)
+    return await _changed(station, await body(request), station.enrolling.cancel)
 
 
 @API.get(

@@ -81,7 +81,6 @@ def hello(station: Station, key: str) -> Json:
 
 
 def scan(run: Run) -> Json:
-    """A scan and its result so far."""
     state = run.view.state
     return {
         "number": run.number,
@@ -153,7 +152,6 @@ def frame(run: Run) -> Json:
 
 
 def profile(run: ProfileRun) -> Json:
-    """The echo over range."""
     shown = run.profile
     return {
         "running": run.running,
@@ -168,7 +166,6 @@ def profile(run: ProfileRun) -> Json:
 
 
 def step_progress(run: CommissioningRun | None) -> Json:
-    """How far a step of the commissioning is."""
     shown = StepProgress(None) if run is None else run.progress
     return {
         "running": run is not None and run.running,
@@ -227,7 +224,6 @@ def settings(station: Station) -> Json:
 
 
 def health(state: Health) -> Json:
-    """The last health check."""
     return {
         "checked": state.checked_at is not None,
         "findings": [asdict(finding) for finding in state.findings],
@@ -237,7 +233,6 @@ def health(state: Health) -> Json:
 
 
 def enrolment(state: EnrolmentState) -> Json:
-    """The enrollment."""
     return {
         "subject": None if state.subject is None else asdict(state.subject),
         "needed": NEEDED,
@@ -300,7 +295,6 @@ def proposal(proposed: LayoutProposal | SignatureProposal, measured: Measured | 
 
 
 def report(run: ReportRun) -> Json:
-    """A report over a selection of the history."""
     return {
         "number": run.number,
         "running": run.running,

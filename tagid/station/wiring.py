@@ -62,7 +62,6 @@ _STEPS: dict[Cable, tuple[str, ...]] = {
 
 
 def wiring(url: str | None) -> Wiring:
-    """Instructions for the radar at a URL."""
     if not url:
         return Wiring("none", "", _STEPS["none"])
     try:

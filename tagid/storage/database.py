@@ -67,7 +67,6 @@ class Schema:
 
     @property
     def version(self) -> int:
-        """The current version."""
         return len(self.migrations)
 
 
@@ -78,7 +77,6 @@ class Database:
 
     Args:
         path: the file; it and its folder are created if they do not exist.
-        schema: its expected schema.
         fill: called with the connection in the transaction that creates a new file.
         wait_s: longest wait for another process's transaction, s.
 

@@ -59,6 +59,8 @@ angles are called `angles_rad`, as in NPZ and MATLAB files; a second antenna (an
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
+_OPTIONAL = {"axis_distance_m": None, "antenna_separation_m": 0.0, "wave_speed_m_s": SPEED_OF_LIGHT}
+"""Numbers that are stored only where they are not these."""
 _BLOCK_BYTES = 1 << 20
 _KNOWN = frozenset(
     {"pulse", *(f"scans/{name}" for name in ("samples", "samples_imag", OLD_ANGLES, *VIEW_ARRAYS))}
@@ -222,12 +224,9 @@ def read_capture(path: Path) -> Capture:
 def _fill(file: Any, capture: Capture, written: _Written) -> None:
     plain: dict[str, Any] = {"format_version": FORMAT_VERSION, "complete": bool(capture.complete)}
     plain |= {name: float(getattr(capture, name)) for name in _NUMBERS}
-    if capture.axis_distance_m is not None:
-        plain["axis_distance_m"] = float(capture.axis_distance_m)
-    if capture.antenna_separation_m != 0:
-        plain["antenna_separation_m"] = float(capture.antenna_separation_m)
-    if capture.wave_speed_m_s != SPEED_OF_LIGHT:
-        plain["wave_speed_m_s"] = float(capture.wave_speed_m_s)
+    for name, default in _OPTIONAL.items():
+        if getattr(capture, name) != default:
+            plain[name] = float(getattr(capture, name))
     if capture.pulse is not None:
         plain["pulse_step_s"] = float(capture.pulse.step)
     texts = {"format": FORMAT} | {name: getattr(capture, name) for name in TEXTS}
@@ -247,7 +246,6 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
 
 
 def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
-    """The datasets under /scans."""
     arrays = {"samples": capture.samples}
     if np.iscomplexobj(capture.samples):
         arrays = {"samples": capture.samples.real, "samples_imag": capture.samples.imag}
@@ -377,7 +375,7 @@ def _to_capture(
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         parts[name] = decode_settings(attributes[name], f"{path} ({name})")
     fields |= read_metadata(parts, str(path), min(version, METADATA_VERSION))
-    for name in ("axis_distance_m", "antenna_separation_m", "wave_speed_m_s"):
+    for name in _OPTIONAL:
         if attributes.get(name) is not None:
             fields[name] = number(attributes[name], f"{path} ({name})")
     if not isinstance(attributes["complete"], bool | np.bool_):

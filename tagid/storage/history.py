@@ -30,39 +30,12 @@ _MOST = 10**9
 """Largest limit of a query."""
 STATUSES = ("identified", "unknown", "ambiguous", "no_tag", "failed")
 
-_FIRST_COLUMNS = {
-    "time_utc": "TEXT NOT NULL",
-    "file": "TEXT NOT NULL",
-    "content_sha256": "TEXT",
-    "capture_uuid": "TEXT",
-    "status": f"TEXT NOT NULL CHECK (status IN {STATUSES})",
-    "layout": "TEXT",
-    "label": "TEXT NOT NULL",
-    "score": "REAL NOT NULL",
-    "margin": "REAL NOT NULL",
-    "rotation_deg": "REAL",
-    "centre_x_m": "REAL",
-    "centre_y_m": "REAL",
-    "missing": "INTEGER NOT NULL",
-    "extra": "INTEGER NOT NULL",
-    "registry_version": "INTEGER",
-    "model_sha256": "TEXT",
-    "tool_version": "TEXT NOT NULL",
-    "total_s": "REAL NOT NULL",
-    "reason": "TEXT NOT NULL",
-    "error_code": "TEXT",
-    "error_message": "TEXT",
-}
-_ADDED_COLUMNS = dict.fromkeys(("advice", "cause", "recording_note"), "TEXT NOT NULL DEFAULT ''")
-_COLUMNS: dict[str, str] = _FIRST_COLUMNS | _ADDED_COLUMNS
-
 
 @dataclass(frozen=True)
 class HistoryEntry:
     """One identification of the history; None where a value is unknown or does not apply.
 
     Attributes:
-        id: its number.
         command: that made it.
         time_utc: ISO 8601, ms.
         file, content_sha256, capture_uuid: what was identified.
@@ -113,10 +86,14 @@ class HistoryEntry:
 
 FIELDS = tuple(field.name for field in fields(HistoryEntry))
 """Names of an entry's fields, which are the columns of an export."""
-TYPES = {"id": int, "command": str} | {
-    name: {"TEXT": str, "REAL": float, "INTEGER": int}[kind.split()[0]] for name, kind in _COLUMNS.items()
+TYPES = {
+    field.name: {"str": str, "float": float, "int": int}[str(field.type).removesuffix(" | None")]
+    for field in fields(HistoryEntry)
 }
-"""Type of each column; any but `id` may also be None."""
+"""Type of each column, where it has a value."""
+_OPTIONAL = frozenset(field.name for field in fields(HistoryEntry) if str(field.type).endswith(" | None"))
+_COLUMNS = FIELDS[2:]
+"""Columns of the table of identifications, besides its keys."""
 
 
 def _hide_key(table: str, column: str) -> str:
@@ -137,9 +114,13 @@ _SCHEMA = Schema(
             "CREATE TABLE run (id INTEGER PRIMARY KEY AUTOINCREMENT, started_utc TEXT NOT NULL,"
             " command TEXT NOT NULL, tool_version TEXT NOT NULL, host TEXT NOT NULL, settings TEXT NOT NULL)",
             "CREATE TABLE identification (id INTEGER PRIMARY KEY AUTOINCREMENT,"
-            " run_id INTEGER NOT NULL REFERENCES run (id) ON DELETE CASCADE, "
-            + ", ".join(f"{name} {kind}" for name, kind in _FIRST_COLUMNS.items())
-            + ")",
+            " run_id INTEGER NOT NULL REFERENCES run (id) ON DELETE CASCADE, time_utc TEXT NOT NULL,"
+            " file TEXT NOT NULL, content_sha256 TEXT, capture_uuid TEXT,"
+            f" status TEXT NOT NULL CHECK (status IN {STATUSES}), layout TEXT, label TEXT NOT NULL,"
+            " score REAL NOT NULL, margin REAL NOT NULL, rotation_deg REAL, centre_x_m REAL,"
+            " centre_y_m REAL, missing INTEGER NOT NULL, extra INTEGER NOT NULL, registry_version INTEGER,"
+            " model_sha256 TEXT, tool_version TEXT NOT NULL, total_s REAL NOT NULL, reason TEXT NOT NULL,"
+            " error_code TEXT, error_message TEXT)",
             "CREATE TABLE reflector (identification_id INTEGER NOT NULL"
             " REFERENCES identification (id) ON DELETE CASCADE, number INTEGER NOT NULL,"
             " x_m REAL NOT NULL, y_m REAL NOT NULL, amplitude_db REAL, matched INTEGER NOT NULL,"
@@ -157,7 +138,8 @@ _SCHEMA = Schema(
         ),
         # 3: what to do, the likeliest cause, and the user's note.
         tuple(
-            f"ALTER TABLE identification ADD COLUMN {name} {kind}" for name, kind in _ADDED_COLUMNS.items()
+            f"ALTER TABLE identification ADD COLUMN {name} TEXT NOT NULL DEFAULT ''"
+            for name in ("advice", "cause", "recording_note")
         ),
     ),
     restore="Restore a backup, or move the file away to begin a new history.",
@@ -246,13 +228,14 @@ class History:
             once: leave out those that are stored, with the same time, file and duration.
         """
         names = ("run_id", *_COLUMNS)
-        insert = f"INSERT INTO identification ({', '.join(names)}) VALUES ({', '.join('?' for _ in names)})"
+        insert = f"INSERT INTO identification ({', '.join(names)}) VALUES (:{', :'.join(names)})"
         numbers = []
         with self._database.transaction() as connection:
             for record in records:
-                if once and connection.execute(_STORED, _identity(record)).fetchone():
+                row = _row(record) | {"run_id": run}
+                if once and connection.execute(_STORED, row).fetchone():
                     continue
-                number = int(connection.execute(insert, (run, *_row(record))).lastrowid or 0)
+                number = int(connection.execute(insert, row).lastrowid or 0)
                 connection.executemany(
                     "INSERT INTO reflector VALUES (?, ?, ?, ?, ?, ?)", _reflectors(number, record)
                 )
@@ -278,8 +261,7 @@ class History:
     def _check(self, row: tuple[Any, ...]) -> None:
         """Raises StorageError for a value that tagid cannot have written; sqlite stores any in any column."""
         for name, value in zip(FIELDS, row, strict=True):
-            optional = name in _COLUMNS and "NOT NULL" not in _COLUMNS[name]
-            right = (optional and value is None) or isinstance(value, TYPES[name])
+            right = (name in _OPTIONAL and value is None) or isinstance(value, TYPES[name])
             if isinstance(value, float):
                 right &= math.isfinite(value)
             if name == "time_utc" and right:
@@ -334,7 +316,7 @@ def csv_text(entries: Iterable[HistoryEntry]) -> str:
     return text.getvalue()
 
 
-def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
+def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     centre = record.get("centre_m") or (None, None)
     error = record.get("error") or {}
     causes = [f"{cause['text']}. {cause['remedy']}" for cause in record.get("causes") or ()]
@@ -349,16 +331,11 @@ def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
         "cause": causes[0] if causes else "",
         "recording_note": record.get("recording_note") or "",
     }
-    return tuple(derived[name] if name in derived else record.get(name) for name in _COLUMNS)
+    return {name: record.get(name) for name in _COLUMNS} | derived
 
 
-_STORED = "SELECT 1 FROM identification WHERE time_utc = ? AND file = ? AND total_s = ?"
-
-
-def _identity(record: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What tells an identification from any other, for `_STORED`; copies of a file may share an answer."""
-    row = dict(zip(_COLUMNS, _row(record), strict=True))
-    return row["time_utc"], row["file"], row["total_s"]
+_STORED = "SELECT 1 FROM identification WHERE time_utc = :time_utc AND file = :file AND total_s = :total_s"
+"""What tells an identification from any other; copies of a file may share an answer."""
 
 
 def _reflectors(number: int, record: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
@@ -460,14 +437,7 @@ def _parquet(entries: Iterator[HistoryEntry], path: Path) -> int:
     count = 0
     with files.replacing(path) as file, pq.ParquetWriter(file, schema) as writer:
         while some := list(itertools.islice(entries, _BATCH)):
-            writer.write_batch(_batch(pa, schema, some))
+            rows = [entry.to_json() | {"time_utc": datetime.fromisoformat(entry.time_utc)} for entry in some]
+            writer.write_batch(pa.RecordBatch.from_pylist(rows, schema))
             count += len(some)
     return count
-
-
-def _batch(pa: Any, schema: Any, entries: list[HistoryEntry]) -> Any:
-    columns = {name: [getattr(entry, name) for entry in entries] for name in FIELDS}
-    columns["time_utc"] = [datetime.fromisoformat(entry.time_utc) for entry in entries]
-    return pa.record_batch(
-        [pa.array(columns[name], type=schema.field(name).type) for name in FIELDS], schema=schema
-    )

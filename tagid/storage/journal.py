@@ -74,7 +74,6 @@ def pack_record(kind: int, payload: bytes) -> bytes:
 
 
 def record_bytes(payload: bytes) -> int:
-    """Size of a record with this payload in the file, bytes."""
     return _RECORD.size + len(payload)
 
 
@@ -226,7 +225,6 @@ class JournalWriter:
 
     @property
     def size(self) -> int:
-        """Size of the file, bytes."""
         return self._size
 
     def append(
@@ -384,7 +382,6 @@ class JournalStream:
     """A journal read scan by scan, in constant memory; see `open_journal`.
 
     Attributes:
-        path: the file.
         header: as given to the writer.
         summary: content of the end record; None before the end or if it is missing.
         bytes_dropped: bytes that belong to no intact record; known at the end.

@@ -167,7 +167,6 @@ def write_captures(
     """Write the capture files of a journal in constant memory, each atomically.
 
     Args:
-        journal: path of the journal.
         part_path: returns the path of part 1, 2, ... (one part if the recording is short enough).
         counters: counters of the recording; added to the journal's `radar`.
         part_bytes: samples in one file, bytes.

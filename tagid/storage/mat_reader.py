@@ -70,7 +70,6 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Variable]:
-    """Name and value of a matrix."""
     if not len(data):
         return "", np.zeros((0, 0))
     (_, flags), (_, sizes), (_, name), *parts = _elements(data, order)

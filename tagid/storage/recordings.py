@@ -264,7 +264,6 @@ class _Ignored:
 
     @property
     def count(self) -> int:
-        """Number of messages."""
         return sum(self._counts.values())
 
     def keep(

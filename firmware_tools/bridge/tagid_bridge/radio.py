@@ -46,7 +46,6 @@ class Radio:
     """One peripheral that serves one host at a time.
 
     Args:
-        name: advertised name.
         passkey: six digits, or None for a bridge that anyone may use.
         info: bytes to read without pairing.
         on_bytes, on_command, on_lost: called from the stack's interrupt with bytes, bytes, nothing.
@@ -96,7 +95,6 @@ class Radio:
         return data, pack("BB", len(text) + 1, 9) + text
 
     def connected(self):
-        """Whether a host is connected."""
         return self._connection is not None
 
     def trusted(self):

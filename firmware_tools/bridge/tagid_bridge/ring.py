@@ -44,7 +44,6 @@ class Ring:
         return data
 
     def drop(self, count):
-        """Remove `count` bytes from the front."""
         self._start = (self._start + min(count, len(self))) % len(self._buffer)
 
     def clear(self):

@@ -57,7 +57,6 @@ class Bridge:
         on_event: called with every unsolicited event.
         on_lost: called once when the link ends without `close`.
         passkey: six digits for pairing; None if the bridge is open or already paired.
-        backends: bleak backends.
         timeout: timeout for one answer, s.
     """
 

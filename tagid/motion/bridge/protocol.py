@@ -22,8 +22,6 @@ PROTOCOL: Final = 2
 
 
 class Op(IntEnum):
-    """Commands."""
-
     VERSION = 0x01
     STATUS = 0x02
     ARM = 0x03
@@ -37,8 +35,6 @@ class Op(IntEnum):
 
 
 class Status(IntEnum):
-    """Result of a command."""
-
     OK = 0
     UNKNOWN = 1
     BAD_ARGUMENT = 2
@@ -51,8 +47,6 @@ class Status(IntEnum):
 
 
 class Flag(IntFlag):
-    """Flags of BridgeInfo."""
-
     PROVISIONED = 1
     PASSKEY = 2
     TRUSTED = 4
@@ -140,10 +134,8 @@ class BridgeInfo:
     """Information that a bridge reports without pairing.
 
     Attributes:
-        protocol: protocol version.
         version: firmware version, e.g. "1.0.0".
         flags: configuration and state.
-        name, chip, micropython: text.
     """
 
     protocol: int

@@ -30,11 +30,9 @@ class BodySettings:
         slip_noise: standard deviation of the slow slip variation (correlation time 1 s).
         encoder_noise: standard deviation of a count, counts.
         imbalance: relative excess speed of the right wheel.
-        signed_encoders: count by the commanded direction; otherwise always upwards.
         first_count: initial count of both encoders (near 32767 they wrap soon).
         lag_s: time constant of the motors.
         blocked: whether the wheels cannot turn.
-        seed: random seed.
     """
 
     wheel_base_mm: float = WHEEL_BASE_MM
@@ -42,7 +40,6 @@ class BodySettings:
     slip_noise: float = 0.0
     encoder_noise: float = 0.3
     imbalance: float = 0.0
-    signed_encoders: bool = True
     first_count: int = 0
     lag_s: float = 0.03
     blocked: bool = False
@@ -81,7 +78,6 @@ class Body:
         self._headings: deque[float] = deque([0.0])
 
     def drive(self, right_mm_s: float, left_mm_s: float) -> None:
-        """Set the wheel speeds from now on."""
         if self.settings.blocked:
             return
         self._wanted = (
@@ -91,11 +87,9 @@ class Body:
 
     @property
     def moving(self) -> bool:
-        """Whether a wheel turns."""
         return any(self._speed)
 
     def advance(self, now_s: float) -> None:
-        """Advance the time."""
         s = self.settings
         while self._now < now_s:
             step = min(_TICK_S, now_s - self._now)
@@ -145,10 +139,8 @@ class Body:
         return self._way[0], self._way[1]
 
     def encoders(self) -> tuple[int, int]:
-        """Left and right counts as int16."""
         counts = []
-        for wheel in (0, 1):
-            way = self._way[wheel] if self.settings.signed_encoders else abs(self._way[wheel])
+        for way in self._way:
             noise = self.settings.encoder_noise * self._rng.normal() if self.moving else 0.0
             count = self.settings.first_count + math.floor(way / MM_PER_COUNT + noise)
             counts.append(((count + 32768) & 0xFFFF) - 32768)

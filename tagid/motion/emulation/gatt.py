@@ -20,15 +20,9 @@ _INTERVAL_MS: Final = 20.0
 class GattPort:
     """Serves a core on one characteristic from a thread; a context manager.
 
-    Args:
-        core: the device.
-        name: advertised name.
-        service, characteristic: UUIDs.
-
     Attributes:
         hci: address of its controller for a host.
         lock: held while the core is used; hold it to inspect the core.
-        worker: its thread.
 
     Raises MissingExtraError without the firmware tools, DeviceError at the end of the block if the thread
     has died.

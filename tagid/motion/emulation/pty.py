@@ -54,13 +54,11 @@ class PtyPort:
     """Serves a core on a pty from a thread; a context manager.
 
     Args:
-        core: the device.
         link: path of a symbolic link to the port; None for none.
 
     Attributes:
         path: the port to open.
         lock: held while the core is used; hold it to inspect the core.
-        worker: its thread.
 
     Raises DeviceError at the end of the block if the thread has died.
     """

@@ -65,7 +65,6 @@ class World:
 
 
 def happen(world: World, event: str) -> None:
-    """Trigger one of EVENTS."""
     setattr(world, *EVENTS[event])
 
 
@@ -73,16 +72,11 @@ class RoombaCore:
     """One emulated robot; times are seconds of one clock that never runs backwards.
 
     Args:
-        body: parameters of the robot.
-        world: external conditions.
-        now_s: time at the start.
-        baud: initial baud rate of its port.
         asleep: whether it has to be woken by a pulse on BRC.
 
     Attributes:
         mode: the true mode.
         asleep: whether it ignores all commands until woken.
-        baud: baud rate of its port.
         event: one of EVENTS, and after how many seconds of turning it happens; None for none.
     """
 
@@ -114,7 +108,6 @@ class RoombaCore:
         self._used_s = self._now
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return what the robot has sent by then, in order."""
         out = self.advance(now_s)
         if self.asleep or self._starts_at_s is not None or not data:
             return out
@@ -125,7 +118,6 @@ class RoombaCore:
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Advance the time; return what the robot sends unprompted."""
         if self._turning_since_s is None and self.body.moving:
             self._turning_since_s = now_s
         if self._turning_since_s is not None and self.event is not None:

@@ -25,7 +25,6 @@ class TurningTable:
         self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
 
     def advance(self, now_s: float) -> None:
-        """Advance the time."""
         if now_s > self.now_s:
             self.angle_deg += self.speed_deg_s * (now_s - self.now_s)
             self.now_s = now_s
@@ -68,7 +67,6 @@ class _TableCore(ABC):
 
     Args:
         rate_error: relative amount by which it turns slower than commanded.
-        now_s: time at the start.
     """
 
     def __init__(self, rate_error: float, now_s: float) -> None:
@@ -79,7 +77,6 @@ class _TableCore(ABC):
         self._buffer = ""
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Process received bytes; return the answers."""
         out = self.advance(now_s)
         self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
         while ";" in self._buffer:
@@ -88,7 +85,6 @@ class _TableCore(ABC):
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Advance the time; return the bytes it sends unprompted."""
         self.table.advance(now_s)
         return b""
 

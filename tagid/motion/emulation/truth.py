@@ -29,9 +29,6 @@ class TruthServer:
     Args:
         state: function from a time (time.monotonic) to JSON values; `angle_rad` is the true angle.
         port: port on 127.0.0.1; 0 selects any free one.
-
-    Attributes:
-        worker: its thread.
     """
 
     def __init__(self, state: Callable[[float], dict[str, float | int | bool]], port: int = 0) -> None:

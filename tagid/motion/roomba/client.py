@@ -116,8 +116,6 @@ class RobotStatus:
 
 
 class OpenInterface:
-    """A robot behind a byte link."""
-
     def __init__(self, link: ByteLink) -> None:
         self.link = link
         self.mode_offset = 0

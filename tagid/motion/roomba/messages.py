@@ -21,8 +21,6 @@ FRAME_S: Final = 0.015
 
 
 class Op(IntEnum):
-    """Opcodes."""
-
     RESET = 7
     START = 128
     BAUD = 129

@@ -51,7 +51,6 @@ class SpinOdometry:
 
     @property
     def angle_rad(self) -> float:
-        """Object angle, rad."""
         way = MM_PER_COUNT * (abs(self._left) + abs(self._right))
         return self.direction * way / self.wheel_base_mm
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
@@ -25,7 +24,6 @@ CLOCKWISE, COUNTER_CLOCKWISE = 0, 1
 (docs/motion.md)."""
 STOP: Final = b";CT+SETSTOP();"
 """For a stop that may interrupt an unknown command: the first semicolon ends it."""
-_ANGLE: Final = re.compile(r"OffsetAngle\s*=\s*([+-]?\d+(?:\.\d+)?)")
 
 
 class Comxim(PolledTable):
@@ -34,6 +32,8 @@ class Comxim(PolledTable):
     kind = "comxim"
     stops_by = "disconnect its power supply"
     warning = "If its cable is disconnected nothing stops it: then disconnect its power supply"
+    prefix, accepted, accepted_s = "CT+", "OK", 2.0
+    angle_query, angle_name = b"CT+GETOFFSETANGLE();", "OffsetAngle"
     speed = 1
     _renewed_deg: float | None = None
     """The angle at which the current step was commanded; None while a command is not renewed."""
@@ -77,19 +77,6 @@ class Comxim(PolledTable):
                 self._command("SETSTOP()")
                 self._step(math.ceil(360 * self.turns - turned) + self.step_deg)
         return readings
-
-    def _command(self, text: str) -> None:
-        self.forget()
-        self.link().write(f"CT+{text};".encode())
-        self.answer("OK", 2.0)
-
-    def _ask_angle(self) -> float:
-        self.link().write(b"CT+GETOFFSETANGLE();")
-        text = self.answer("OffsetAngle")
-        match = _ANGLE.search(text)
-        if match is None:
-            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check the device type.")
-        return float(match[1])
 
     def _tell_stop(self) -> None:
         try:

@@ -30,7 +30,6 @@ class IndexTable(DrivenMotion):
     """A free-running table that reports each full turn.
 
     Args:
-        address: address of the bridge.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn, for the progress line.
     """
@@ -108,7 +107,6 @@ class IndexTable(DrivenMotion):
         """Does nothing: the table is not commanded."""
 
     def describe(self) -> dict[str, Any]:
-        """Information and status of the bridge."""
         try:
             self._link = self._open_link()
             info = self._link.bridge.info

@@ -6,6 +6,7 @@ An angle is timestamped midway between query and answer; half of that interval i
 from __future__ import annotations
 
 import math
+import re
 import time
 from abc import abstractmethod
 from collections.abc import Callable
@@ -36,12 +37,19 @@ class PolledTable(DrivenMotion):
     """A table over a byte link with answers that end in a semicolon.
 
     Args:
-        open_link: opens the link.
-        name: name of the table in messages.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one plus the overlap.
     """
+
+    prefix: str
+    """What a command begins with."""
+    accepted: str
+    """Text of the answer to a command that is obeyed, within `accepted_s`."""
+    accepted_s = ANSWER_S
+    angle_query: bytes
+    angle_name: str
+    """What the angle follows in its answer, and an equals sign."""
 
     def __init__(
         self,
@@ -71,16 +79,26 @@ class PolledTable(DrivenMotion):
     def _set_going(self) -> None:
         """Command it to turn, with its speed and direction."""
 
-    @abstractmethod
+    def _command(self, text: str) -> None:
+        """Send a command, and wait until the table accepts it."""
+        self.forget()
+        self.link().write(f"{self.prefix}{text};".encode())
+        self.answer(self.accepted, self.accepted_s)
+
     def _ask_angle(self) -> float:
         """Its angle, degrees."""
+        self.link().write(self.angle_query)
+        text = self.answer(self.angle_name)
+        match = re.search(re.escape(self.angle_name) + r"\s*=\s*([+-]?\d+(?:\.\d+)?)", text)
+        if match is None:
+            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check the device type.")
+        return float(match[1])
 
     @abstractmethod
     def _tell_stop(self) -> None:
         """Command it to stop."""
 
     def link(self) -> ByteLink:
-        """The link, opened on first use."""
         if self._link is None:
             self._link = self._open_link()
             self._buffer = b""
@@ -178,7 +196,6 @@ class PolledTable(DrivenMotion):
         self._tell_stop()
 
     def describe(self) -> dict[str, Any]:
-        """Its angle."""
         try:
             self.link()
             return {"device": self.name, "kind": self.kind, "angle_deg": self._ask_angle()}

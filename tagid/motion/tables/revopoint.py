@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import re
 from typing import Final
 
-from tagid.errors import DeviceRejectedError
 from tagid.motion.ble import CharacteristicLink, ble_address
 from tagid.motion.discovery import REVOPOINT
 from tagid.motion.tables.polled import PolledTable
@@ -17,32 +15,18 @@ from tagid.motion.urls import Options
 SERVICE: Final = "0000ffe0-0000-1000-8000-00805f9b34fb"
 CHARACTERISTIC: Final = "0000ffe1-0000-1000-8000-00805f9b34fb"
 FASTEST_S, SLOWEST_S = 17.5, 90.0
-_ANGLE: Final = re.compile(r"\+DATA\s*=\s*([+-]?\d+(?:\.\d+)?)")
 
 
 class Revopoint(PolledTable):
-    """A dual-axis table; see PolledTable."""
-
     kind = "revopoint"
+    prefix, accepted = "+CT,", "+OK"
+    angle_query, angle_name = b"+QT,CHANGEANGLE;", "+DATA"
     warning = "If Bluetooth is lost, or this program hangs, it may not stop: then switch it off"
 
     def _set_going(self) -> None:
         self._command(f"TURNSPEED={self.nominal_s:.1f}")
         # Revopoint's own app sends positive angles for "clockwise" (docs/motion.md).
         self._command(f"TURNCONTINUE={-self.commanded}")
-
-    def _command(self, text: str) -> None:
-        self.forget()
-        self.link().write(f"+CT,{text};".encode())
-        self.answer("+OK")
-
-    def _ask_angle(self) -> float:
-        self.link().write(b"+QT,CHANGEANGLE;")
-        text = self.answer("+DATA")
-        match = _ANGLE.search(text)
-        if match is None:
-            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check that it is this table.")
-        return float(match[1])
 
     def _tell_stop(self) -> None:
         self._command("STOP")

@@ -178,17 +178,14 @@ class EmulatorCore:
 
     @property
     def config(self) -> RadarConfig:
-        """The settings in force."""
         return self._state.config
 
     @property
     def now_s(self) -> float:
-        """The emulated clock."""
         return self._now
 
     @property
     def scanning(self) -> bool:
-        """Whether a run is in progress."""
         return self._state.run is not None
 
     @property

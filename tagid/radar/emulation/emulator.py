@@ -80,7 +80,6 @@ class Server:
         self._orders.put(what)
 
     def run(self, stop_event: threading.Event) -> None:
-        """Serve until `stop_event` is set."""
         while not stop_event.is_set():
             while not self._orders.empty():
                 self._orders.get()()
@@ -94,7 +93,6 @@ class Server:
             self._release()
 
     def send(self, packets: list[bytes]) -> None:
-        """Send packets of the radar through the simulated faults."""
         if packets:
             self._wire.send(self._path.pass_on(packets, self._core.now_s))
 

@@ -23,7 +23,6 @@ class Faults:
         reorder: a packet arrives after the next one to three packets.
         delay: a packet arrives `delay_s` late.
         delay_s: the delay, s of the emulated clock.
-        seed: random seed.
     """
 
     lose: float = 0.0
@@ -36,8 +35,6 @@ class Faults:
 
 
 class FaultyPath:
-    """The path from the radar to the client."""
-
     def __init__(self, faults: Faults | None = None) -> None:
         self._faults = faults or Faults()
         self._random = np.random.default_rng(self._faults.seed)
@@ -73,7 +70,6 @@ class FaultyPath:
 
     @property
     def holding(self) -> bool:
-        """Whether packets are held back."""
         return bool(self._held)
 
     def flush(self, now_s: float = math.inf) -> list[bytes]:

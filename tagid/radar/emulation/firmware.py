@@ -26,7 +26,6 @@ class Identity:
     """What the emulated radar reports in GET_STATUSINFO.
 
     Attributes:
-        serial: serial number.
         package: name of the hardware package, up to 32 characters.
         temperature_c: board temperature, degrees Celsius.
         boot_s: time from a reboot to READY_INFO (7 s on Ethernet, measured).
@@ -76,7 +75,6 @@ class Firmware:
         return replace(config, scan_start_ps=start, scan_stop_ps=stop).quantised()
 
     def status_info(self, message_id: int, identity: Identity) -> bytes:
-        """The GET_STATUSINFO confirm."""
         fields: dict[str, Any] = {
             "mrm_major": 2,
             "mrm_minor": 1,
@@ -97,6 +95,5 @@ class Firmware:
         return encode(MessageType.GET_STATUSINFO_CONFIRM, message_id, package=package, **fields)
 
     def sleep_mode(self, message_id: int, mode: int) -> bytes:
-        """The GET_SLEEPMODE confirm."""
         pack = encode if self.sleep_confirm_bytes == 12 else encode_older
         return pack(MessageType.GET_SLEEPMODE_CONFIRM, message_id, mode=mode)

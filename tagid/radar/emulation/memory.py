@@ -44,7 +44,6 @@ class MemoryLink:
         return self._core.ended and not self._queue
 
     def send(self, packet: bytes) -> None:
-        """Pass one packet to the radar."""
         if self._rate:
             self._put(self._core.advance_by_one((time.monotonic() - self._origin) * self._rate))
         if self._path.request_arrives():

@@ -76,7 +76,6 @@ class RecordingSource:
 
     @property
     def views(self) -> int:
-        """Scans in the recording."""
         return len(self._samples)
 
     def has(self, index: int) -> bool:
@@ -89,6 +88,5 @@ class RecordingSource:
         return int(self._times[view]) + turns * self._duration
 
     def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
-        """(bins,) recorded counts of scan `index`."""
         view: NDArray[np.int32] = self._samples[index % self.views]
         return view

@@ -129,7 +129,6 @@ class UdpWire:
         return True
 
     def close(self) -> None:
-        """Release the port."""
         self._socket.close()
 
 
@@ -229,7 +228,6 @@ class PtyWire:
         return self._ends is None or len(self._frames) + bool(self._rest) <= self._room
 
     def close(self) -> None:
-        """Release the port and remove the link."""
         self.unplug()
 
     def _pump(self) -> None:

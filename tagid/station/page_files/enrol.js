@@ -132,13 +132,9 @@ function received(found) {
 }
 
 async function loadLayouts() {
-  let items = [];
-  try {
-    const answer = await fetch("api/v1/layouts", { cache: "no-store" });
-    if (answer.ok) items = (await answer.json()).items;
-  } catch (error) {
-    return;
-  }
+  const answer = await ask("layouts");
+  if (!answer) return;
+  const { items } = answer;
   const before = $("t-layout").value;
   $("t-layout").replaceChildren(...items.map((one) => element("option", one.name)));
   if (items.some((one) => one.name === before)) $("t-layout").value = before;
