@@ -335,6 +335,8 @@ def _listens(
 ) -> None:
     """Print where an emulator listens, with other facts and the next command, which has {} for the URL."""
     shown = [f"{key} {value}" for key, value in facts.items() if key not in ("url", "truth", "object")]
+    if "truth" in facts and name != "emulate p440":
+        shown.append(f"true angle at {facts['truth']}: turned_by of an emulated radar")
     shown += [] if remark is None else [remark]
     shown.append(f"next, in another terminal: {next_command(str(facts['url']), command)}")
     announce(

@@ -169,6 +169,10 @@ class Calibration:
             return Bound(1.0, false_accept, 0, f"{views} views", self.population)
         return Bound(stratum.p_value(lead), false_accept, stratum.objects, stratum.name, self.population)
 
+    def covers(self, views: int) -> bool:
+        """Whether objects recorded with so many views were read."""
+        return self._stratum(views) is not None
+
     def _stratum(self, views: int) -> Stratum | None:
         inside = (stratum for stratum in self.strata if stratum.views_from <= views < stratum.views_to)
         return next(inside, None)

@@ -107,7 +107,7 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     if lead >= SURE:
         but = ", but other objects look as much like it with so few views"
         if code is Code.UNCALIBRATED:
-            but = ", but no calibration covers so few views or so small a tags.false_accept"
+            but = ", and no calibration bears that out"
     return refused("unknown", words(best) + but, best, code)
 
 

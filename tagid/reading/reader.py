@@ -21,6 +21,7 @@ from tagid.reading.reading import LayoutScore, Reading
 from tagid.reading.several import best_of, clearest, decide_together
 from tagid.reading.signature import enrolled_in
 from tagid.reading.spectra import RADIUS_M, Spectra
+from tagid.reading.verdict import Code
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout
 
@@ -141,6 +142,10 @@ def _needed(settings: ReaderSettings, views: int) -> Needed:
 
 def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, views: int) -> Reading:
     """A decision as an answer, with what a recording shows of it."""
+    if not _calibration(settings).covers(views):
+        # Of the hypotheses that compete some fits so few views by chance.
+        reason = f"{counted(views, 'view')}, too few to tell: {decision.reason}"
+        decision = replace(decision, status="unknown", reason=reason, code=Code.UNCALIBRATED)
     spectra, winner = contest.spectra, _plainest(contest, decision.winner)
     best = best_of(contest, decision.best.name) if decision.best is not None and decision.best.name else None
     every = [Explained.of(spectra, hypothesis) for hypothesis in ranked(contest.hypotheses, winner)]

@@ -126,12 +126,16 @@ class ItemRecord:
     @property
     def why(self) -> str:
         """Likely causes, reason and notes in one line; empty if there is nothing to say."""
-        causes = [f"likely cause: {cause['text']}" for cause in self.causes]
+        causes = [f"likely cause: {text}" for text in self._causes_beside_the_reason]
         return "; ".join(filter(None, (*causes, self.reason, self.note)))
+
+    @property
+    def _causes_beside_the_reason(self) -> list[str]:
+        return [cause["text"] for cause in self.causes if cause["code"] != self.document.get("reason_code")]
 
     def explained(self) -> list[tuple[str, str]]:
         """What qualifies the answer, as (name, text) in the order of a person's questions."""
-        causes = [("likely cause", cause["text"]) for cause in self.causes]
+        causes = [("likely cause", text) for text in self._causes_beside_the_reason]
         remedies = [("what to do", remedy) for remedy in self.what_to_do]
         why = ("why", self.reason)
         lines = [*causes, *remedies, why] if causes else [why, *remedies]

@@ -206,7 +206,7 @@ def turning_scene(spec: SceneSpec) -> TurningScene:
     scene, acquisition = spec.build()
     if spec.rig is not None:
         return RigScene(scene, parse_rig(spec.rig), acquisition.placement, spec.seed)
-    turner = TrueAngle(spec.turned_by).at if spec.turned_by else None
+    turner = None if spec.turned_by is None else TrueAngle(spec.turned_by).at
     lift = HeightFile(spec.antenna_height_file) if spec.antenna_height_file else None
     stop = Stop(spec.stop, spec.stop_s) if math.isfinite(spec.stop) else None
     delay_s = spec.cable_delay * 1e-12

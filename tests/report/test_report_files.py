@@ -196,7 +196,8 @@ def test_what_qualifies_an_answer_reaches_every_file(make_report, captures: Path
 
     record, row, case = (of["quarter.tagid.h5"] for of in (records, rows, cases))
     assert record["status"] == "unknown" and row["caveats"] == "part of a turn"
-    assert row["what_to_do"].endswith(record["advice"]) and f"what to do: {record['advice']}" in case
+    assert row["what_to_do"] == record["causes"][0]["remedy"] and f"what to do: {row['what_to_do']}" in case
+    assert record["reason_code"] == record["causes"][0]["code"] == "partial_turn"
     assert rows["helmet-120.tagid.h5"]["copy_of"] == "" and records["empty.tagid.h5"]["copy_of"] is None
     page = (out / "report.html").read_text()
     assert "2 of a part of a turn, " in page and "1 copy not counted" in page and "lost.tagid.h5" in page

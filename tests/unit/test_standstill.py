@@ -146,7 +146,7 @@ def test_less_than_most_of_a_turn_names_nothing() -> None:
     [
         ("container-90", path(0.6, turns=4.0), "turn_stopped", r"the turn stopped \(scan 14\d of 960\)"),
         ("helmet-120", path(0.6, turns=4.0), "turn_stopped", r"the turn stopped \(scan 14\d of 960\)"),
-        ("container-90", path(9, turns=0.8), "bad_data", ""),
+        ("container-90", path(9, turns=0.8), "bad_data", "period"),
     ],
 )
 def test_a_stop_without_a_speed_is_an_error_of_its_own_unlike_a_short_turn(

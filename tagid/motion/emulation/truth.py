@@ -73,7 +73,7 @@ class TrueAngle:
         if not host.startswith("127.") or not port.isdecimal() or not 0 < int(port) < 65536:
             raise UsageError(
                 f"the turning robot's address is {address!r}",
-                "Give the address that `tagid emulate roomba` prints as truth, e.g. 127.0.0.1:40123.",
+                "Give the address of the true angle that `tagid emulate roomba` prints: 127.0.0.1:PORT.",
             )
         self._address = (host, int(port))
 
