@@ -227,6 +227,8 @@ def words(hypothesis: Hypothesis) -> str:
         return model.words + odd
     if model.tag is None:
         body = "an object" if model.transfer is POINTS and not model.body_parameters else model.words
+        if model.transfer.body and model.odd:
+            return f"{body}{odd}, no tag told apart from {'it' if model.odd == 1 else 'them'}"
         return (f"{body} without a tag" if model.transfer.body else "nothing but clutter") + odd
     positions = hypothesis.estimate.positions - hypothesis.estimate.centre
     count = len(positions)
