@@ -19,9 +19,8 @@ from tagid.storage import hdf5
 from tagid.storage.assembly import AS_NPZ
 
 _KNOWN = (
-    "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a MATLAB file of tagid or of the "
-    "vendor's log reader, a P440 recording (.prd, .out) or an MRM-RET log (.csv). Store other scans as NPZ: "
-    + AS_NPZ
+    "Give a capture (.tagid.h5), a journal, an NPZ or MATLAB file, a P440 recording (.prd, .out) or an "
+    "MRM-RET log (.csv); docs/formats.md says how other scans become an NPZ file."
 )
 _HEAD = 1 << 16
 
@@ -43,7 +42,7 @@ def read_any(path: Path | str, cable_delay_ps: float = 0.0, node: int | None = N
     path = Path(path)
     head = files.read_head(path, _HEAD)
     if not head:
-        raise FileFormatError(f"{path}: the file is empty", _KNOWN)
+        raise FileFormatError(f"{path}: the file is empty", "Record it again, or copy it again.")
     if head.startswith(hdf5.MAGIC):
         return _of_node(path, hdf5.read_capture(path), node)
     # The other formats are imported where one of them is read.
