@@ -132,7 +132,8 @@ def _competing(reading: Reading) -> Iterator[Drawn]:
     needed = round(reading.needed) if isfinite(reading.needed) else None
     mark = "" if needed is None else f" (a name needs {reading.needed:.1f}: the |)"
     yield f"  behind the likeliest, nats of log evidence{mark}:"
-    table = Table.grid(padding=(0, 1))
+    table = Table()
+    table.pad_edge, table.collapse_padding = False, True
     # Nothing wins over what is hardly likelier.
     for row in sorted(reading.hypotheses, key=lambda row: abs(row.log_evidence)):
         behind = abs(row.log_evidence)

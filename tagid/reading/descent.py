@@ -32,6 +32,8 @@ _AGAIN = 3
 """Descents more at most, while other powers explain more than those of the last one."""
 FAR_M = 0.03
 """No centre lies farther from the axis."""
+_ROUND = tuple(np.exp(2j * np.pi * np.arange(60) / 60))
+"""Turns by which a reflector is moved along its ring: on the largest, 15 mm, a fifth of a wavelength."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +102,24 @@ class Estimate:
         moved = np.zeros(tag.count), np.full(tag.count, stretch), np.repeat(lift, tag.count)
         return glued, np.r_[x[: model.head], *moved, rest[model.lifts :]]
 
-    def and_alike(self, place: complex) -> tuple[Model, Floats]:
-        """The model with a reflector more, alike and free, instead of the odd scatterers; its parameters."""
+    def and_alike(self, place: complex, *, odd: bool = False) -> tuple[Model, Floats]:
+        """The model with a reflector more, alike and free, and its parameters.
+
+        Args:
+            odd: beside the odd scatterers, not instead of them.
+        """
         model, x, tag = self.model, self.x, self.model.tag
         assert tag is not None
-        more = replace(model, tag=tag.and_one(place - self.centre), odd=0)
+        more = replace(model, tag=tag.and_one(place - self.centre), odd=model.odd if odd else 0)
         turns, stretches = model.head + tag.turns, model.head + tag.turns + tag.stretches
         lifts = x[stretches:][: model.lifts]
         rest = [0.0], x[turns:stretches], [0.0], lifts, np.zeros(more.lifts - len(lifts))
-        return more, np.concatenate([x[:turns], *rest])
+        return more, np.concatenate([x[:turns], *rest, x[len(x) - more.spot * more.odd :]])
+
+    def more_on_ring(self) -> list[tuple[Model, Floats]]:
+        """The models with one more at every turn of the outermost reflector's ring, and their parameters."""
+        out = max(self.positions - self.centre, key=abs)
+        return [self.and_alike(self.centre + out * turn, odd=True) for turn in _ROUND]
 
     @property
     def positions(self) -> NDArray[np.complex128]:

@@ -17,7 +17,9 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Estimate, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
+    MORE,
     MOST_ODD,
+    RINGED,
     Arranged,
     Candidate,
     Hypothesis,
@@ -215,6 +217,7 @@ class Contest:
         self._beside_others()
         self._by_hand()
         self._unbound()
+        self._one_more_on_ring()
         self._evened()
 
     @property
@@ -345,16 +348,9 @@ class Contest:
         """The best bare tags, of reflectors that return less from behind."""
         for enrolled in (True, False):
             every = self._best(len(self.hypotheses), enrolled=enrolled)
-            for hypothesis in [h for h in every if h.estimate.model.transfer is BARE][:3]:
-                model, x = replace(hypothesis.estimate.model, transfer=FACING), hypothesis.estimate.x
-                self._placed(
-                    hypothesis.layout,
-                    model,
-                    x,
-                    (1e-3, None),
-                    middle=hypothesis.middle,
-                    prior=hypothesis.prior,
-                )
+            for h in [h for h in every if h.estimate.model.transfer is BARE][:3]:
+                model, x = replace(h.estimate.model, transfer=FACING), h.estimate.x
+                self._placed(h.layout, model, x, (1e-3, None), middle=h.middle, prior=h.prior)
 
     def _hidden(self) -> None:
         """The best bare tags, not seen from a sector of directions: behind a post or a hand."""
@@ -549,6 +545,15 @@ class Contest:
             for odd in hypothesis.estimate.odd:
                 alike = hypothesis.estimate.and_alike(odd)
                 self.grow(self._placed(None, *alike, (None,), middle=hypothesis.middle), MOST_ODD)
+
+    def _one_more_on_ring(self) -> None:
+        """The same of a reflector anywhere on the best layouts' rings, of whom nothing has shown yet."""
+        for hypothesis in self._best(RINGED, enrolled=True):
+            more, clutter = hypothesis.estimate.more_on_ring(), hypothesis.estimate.powers.clutter
+            logs = [best_powers(self.spectra, model, x, clutter)[1] for model, x in more]
+            alike = more[int(np.argmax(logs))]
+            best = self._placed(None, *alike, (None,), middle=hypothesis.middle, prior=MORE)
+            self.grow(best, MOST_ODD - best.estimate.model.odd)
 
     def _about_own_middle(self) -> None:
         """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""

@@ -114,6 +114,15 @@ def test_a_stranger_beside_a_body_is_not_named(seed: int, code: Code) -> None:
     assert answer.code is code
 
 
+def test_a_layout_with_a_reflector_more_on_its_ring_is_not_named() -> None:
+    """On a metal box, beside another object: two of three stand as those of helmet-linear do."""
+    capture = draw(379_288, views=18).capture
+    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    answer = decide(Contest(Spectra.of(scans), LAYOUTS).run())
+    assert answer.name is None and answer.lead < -20
+    assert answer.code is Code.EXTRA and "3 reflectors 48, 132 and 180 degrees apart, 86 mm" in answer.reason
+
+
 def test_bodies_are_tried_again_for_what_is_found_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search goes other ways under slightly other clutter: a layout's four reflectors are found late."""
     grid = np.linspace(0, 100, 10_001)
