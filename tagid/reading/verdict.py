@@ -32,7 +32,7 @@ ADVICE = {
         f"If the object carries a tag, {_LARGER}, or enroll the body if it has a handle, a rim or flat sides."
     ),
     Code.MISSING: "Check that every reflector of the tag is in place and as large as the others.",
-    Code.EXTRA: "Remove what does not belong to the tag, or enroll the tag as it is.",
+    Code.EXTRA: "Remove what is not of the tag, or enroll the body if it has a handle, or the tag as it is.",
     Code.DISPLACED: "Put the reflectors back in their places, or enroll the tag as it is.",
     Code.OTHER: (
         "Enroll the tag if it is new, or the body if it has a handle, a rim or flat sides; otherwise record "
