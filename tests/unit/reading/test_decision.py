@@ -120,7 +120,7 @@ def test_a_layout_with_a_reflector_more_on_its_ring_is_not_named() -> None:
     scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
     answer = decide(Contest(Spectra.of(scans), LAYOUTS).run())
     assert answer.name is None and answer.lead < -20
-    assert answer.code is Code.EXTRA and "3 reflectors 48, 132 and 180 degrees apart, 86 mm" in answer.reason
+    assert answer.code is Code.EXTRA and "3 reflectors 48, 130 and 182 degrees apart, 87 mm" in answer.reason
 
 
 def test_bodies_are_tried_again_for_what_is_found_late(monkeypatch: pytest.MonkeyPatch) -> None:
