@@ -26,13 +26,13 @@ def _products(x: NDArray[np.complex128], received: NDArray[np.bool_], lag: int) 
 def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], step_s: float) -> float | None:
     """Rotation period, s, to about ten per cent at 20 dB; None if the echoes are too weak.
 
-    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over one turn w^2 = <rate^2>
-    / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at lag zero, 2 (1 -
-    rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the range variance is that
-    of the echo energy over range bins, minus that of the pulse, 1 / (4 var(wavenumber)). Energies are
-    products of neighbouring scans, unbiased by noise. All lengths are in bins and cancel. Weak echoes give
-    too short a period (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer period, but
-    not exclude one.
+    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over one turn
+    w^2 = <rate^2> / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at
+    lag zero, 2 (1 - rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the range
+    variance is that of the echo energy over range bins, minus that of the pulse, 1 / (4 var(wavenumber)).
+    Energies are products of neighbouring scans, unbiased by noise. All lengths are in bins and cancel. Weak
+    echoes give too short a period (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer
+    period, but not exclude one.
 
     The scans (scans, bins) are real, mean removed, on a grid of `step_s`; those `received` (scans,) count.
     """

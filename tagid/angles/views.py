@@ -60,8 +60,8 @@ def average_into_views(capture: Capture, views: int) -> Capture:
     """Average scans with angles into evenly spaced angular sectors: noise falls by sqrt(scans per view).
 
     Scans in a sector are smeared over its width w: the echo of a reflector at radius r changes its phase by
-    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at w = 0.13 lambda
-    / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
+    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at
+    w = 0.13 lambda / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
 
     The capture has one view per non-empty sector of `views` per turn, at the mean angle of its scans. Integer
     samples become float32, flags are combined; times, scan numbers and antenna positions are dropped.

@@ -324,7 +324,8 @@ def _wait(terminal: Terminal, name: str, facts: dict[str, Any], *workers: Worker
 
     stop = threading.Event()
     with interrupts.asked_to_stop(stop.set):
-        _listens(terminal, name, facts, "tagid motion info --motion {}")
+        true = f"true angle at {facts['truth']}: turned_by of an emulated radar"
+        _listens(terminal, name, facts, "tagid motion info --motion {}", true)
         while not stop.wait(_LOOK_S):
             for worker in workers:
                 raise_failure(worker)
@@ -335,8 +336,6 @@ def _listens(
 ) -> None:
     """Print where an emulator listens, with other facts and the next command, which has {} for the URL."""
     shown = [f"{key} {value}" for key, value in facts.items() if key not in ("url", "truth", "object")]
-    if "truth" in facts and name != "emulate p440":
-        shown.append(f"true angle at {facts['truth']}: turned_by of an emulated radar")
     shown += [] if remark is None else [remark]
     shown.append(f"next, in another terminal: {next_command(str(facts['url']), command)}")
     announce(

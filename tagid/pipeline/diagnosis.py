@@ -61,8 +61,8 @@ def circling(capture: Capture) -> Circling | None:
     """The circle that the range of each view's strongest moving echo describes; None for too few views, or
     without angles.
 
-    The front of a round body of radius a about the point c is at |antenna - c| - a, to first order in c at D
-    - a - c . u with the direction u of the antenna. Reflectors, handles and noise are the strongest in some
+    The front of a round body of radius a about the point c is at |antenna - c| - a, to first order in c at
+    D - a - c . u with the direction u of the antenna. Reflectors, handles and noise are the strongest in some
     views; these are left out in turns.
     """
     if capture.angles_rad is None or capture.views < _FEWEST:

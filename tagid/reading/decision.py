@@ -105,7 +105,7 @@ def settled(named: Joint | None, other: Joint, untagged: Joint, needed: Needed =
     code = Code.WEAK if np.isfinite(needed.lead) else Code.UNCALIBRATED
     but = f", or nearly as likely: {words(rival)}"
     if lead >= SURE:
-        but = ", but other objects look as much like it with so few views"
+        but = ", but other objects look as much like it"
         if code is Code.UNCALIBRATED:
             but = ", and no calibration bears that out"
     return refused("unknown", words(best) + but, best, code)

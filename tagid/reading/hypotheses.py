@@ -17,9 +17,7 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import PLANE_SD_M, RING_M, Model, Priors
 from tagid.reading.descent import FAR_M, TAG, Estimate, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
-    MORE,
     MOST_ODD,
-    RINGED,
     Arranged,
     Candidate,
     Hypothesis,
@@ -82,6 +80,9 @@ BESIDE = 3
 """Bodies beside which the best pose of every arrangement is refined."""
 LOST = 0.01
 """Share of the tags that have lost a reflector."""
+MORE, RINGED = 0.1, 2
+"""Share of those that are not enrolled which are an enrolled one and a reflector more on its ring, and the
+layouts of which that is tried."""
 MOST_ALTERED = 3
 """Reflectors less or more than those of an enrolled object."""
 RAISED = 1e-4
@@ -478,10 +479,9 @@ class Contest:
     def _guests(self) -> list[Hypothesis]:
         """The best layouts, and the best free arrangement."""
         out: list[Hypothesis] = []
-        for hypothesis in self._ranked:
-            tagged = hypothesis.estimate.model.tagged
-            if tagged and all(hypothesis.layout is not other.layout for other in out):
-                out.append(hypothesis)
+        for h in self._ranked:
+            if h.estimate.model.tagged and all(h.layout is not other.layout for other in out):
+                out.append(h)
         return out[:GUESTS]
 
     def _best(self, count: int, *, enrolled: bool) -> list[Hypothesis]:
@@ -552,7 +552,7 @@ class Contest:
             more, clutter = hypothesis.estimate.more_on_ring(), hypothesis.estimate.powers.clutter
             logs = [best_powers(self.spectra, model, x, clutter)[1] for model, x in more]
             alike = more[int(np.argmax(logs))]
-            best = self._placed(None, *alike, (None,), middle=hypothesis.middle, prior=MORE)
+            best = self._placed(None, *alike, (None,), middle=hypothesis.middle, prior=float(np.log(MORE)))
             self.grow(best, MOST_ODD - best.estimate.model.odd)
 
     def _about_own_middle(self) -> None:

@@ -20,10 +20,6 @@ from tagid.types import Complex, Floats
 
 MOST_ODD = 2
 """Odd scatterers that one search adds beside a tag."""
-MORE = float(np.log(0.1))
-"""Log share of the tags that are not enrolled which have an enrolled arrangement and one reflector more."""
-RINGED = 2
-"""Layouts on whose ring an alike reflector more is looked for."""
 MOST_REFLECTORS = 5
 """Reflectors of an arrangement that is not enrolled."""
 FITS_M = 0.012

@@ -16,28 +16,27 @@ import pytest
 from tagid.commissioning.bench import Bench, Tape
 from tagid.commissioning.bundle import write_bundle
 from tagid.commissioning.rows import StepReport
-from tagid.commissioning.steps import run_step, step_named
 from tagid.commissioning.targets import parse_target
 from tagid.config import load_config
 from tagid.recording.calibration import estimate_delay, reference_on, usable
 from tagid.recording.inspection import inspect, turning_period
 from tagid.storage.importers import read_any
+from tests.measured_rig import measured_rig
 from tests.target_delay import delay_ps
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TAGID_DATA", str(folder))
-        patch.setenv("TAGID_CONFIG", str(folder / "config.toml"))
-        for step, scene in (("link", "empty"), ("room", "empty"), ("target", "target")):
-            url = f"emulator://{scene}?rig=realistic%3Fseed%3D8&seed=1"
-            config = load_config({"radar.url": url, "radar.integration": 15})
-            tape = {"target_distance_m": 1.0, "axis_distance_m": 1.0, "antenna_height_m": 0.05}
-            bench = Bench(config, tape, seconds=1, scans=40)
-            run_step(step_named(step), bench)
-        write_bundle(bench, folder / "made.zip")
+
+    def bench(scene: str) -> Bench:
+        url = f"emulator://{scene}?rig=realistic%3Fseed%3D8&seed=1"
+        config = load_config({"radar.url": url, "radar.integration": 15})
+        tape = {"target_distance_m": 1.0, "axis_distance_m": 1.0, "antenna_height_m": 0.05}
+        return Bench(config, tape, seconds=1, scans=40)
+
+    with measured_rig(folder, bench) as (stand, _):
+        write_bundle(stand, folder / "made.zip")
     return folder / "made.zip"
 
 

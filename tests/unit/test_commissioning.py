@@ -35,6 +35,7 @@ from tagid.simulate.spec import SceneSpec
 from tagid.tags.layouts.layout import rotation_matrix
 from tagid.tags.layouts.test_card import test_card
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.measured_rig import measured_rig
 from tests.target_delay import delay_ps
 
 
@@ -57,12 +58,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which link, room and target of the rig of `bench` are measured."""
     folder = tmp_path_factory.mktemp("rig")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TAGID_DATA", str(folder))
-        patch.setenv("TAGID_CONFIG", str(folder / "config.toml"))
-        for name, scene in (("link", "empty"), ("room", "empty"), ("target", "target")):
-            report = run_step(step_named(name), bench(scene))
-            assert report.passed, [row for row in report.rows if row.level is Level.FAIL]
+    with measured_rig(folder, bench) as (_, report):
         assert bench("empty").report("target").to_json() == report.to_json()
     return folder
 
