@@ -188,18 +188,18 @@ def data_folder() -> Path:
     return Path(platformdirs.user_data_dir("tagid"))
 
 
-def setting_named(name: str, where: str) -> Setting:
-    """The setting of a dotted name. Raises ConfigError with the place where an unknown one was named."""
+def setting_named(name: str, where: str = "") -> Setting:
+    """The setting of a dotted name. Raises ConfigError with where an unknown one stands, "FILE: " or ""."""
     if name not in _BY_NAME:
         raise ConfigError(
-            f"{where}: unknown setting {name!r}",
+            f"{where}unknown setting {name!r}",
             f"{meant(name, _BY_NAME)}`tagid config` lists all settings.",
         )
     return _BY_NAME[name]
 
 
-def parse_value(name: str, raw: Any, where: str) -> Any:
-    """Check and convert one value. Raises ConfigError naming the setting, the place and the bounds."""
+def parse_value(name: str, raw: Any, where: str = "") -> Any:
+    """Check and convert one value. Raises ConfigError naming the setting, where it stands, and the bounds."""
     setting = setting_named(name, where)
     if setting.kind not in (int, float) and isinstance(raw, list):
         raw = ",".join(map(str, raw))  # a TOML list, for which the command line has commas
@@ -212,22 +212,22 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
         kind = "a whole number" if setting.kind is int else "a number"
         if setting.unit in UNITS:
             kind += f", in {setting.unit} or with its unit: {', '.join(UNITS[setting.unit])}"
-        raise ConfigError(f"{where}: {name} is {raw!r:.60}, not a number", _another(setting, kind)) from None
+        raise ConfigError(f"{where}{name} is {raw!r:.60}, not a number", _another(setting, kind)) from None
     if name == "motion.axis_distance_m" and IMPLAUSIBLE_AXIS_M <= value < inf:
         # Of the two units the one that gives the more usual distance.
         unit, parts = ("mm", 1000) if value > 320 else ("cm", 100)
         raise ConfigError(
-            f"{where}: {name} is {value:g}. {value:g} m? Give metres",
+            f"{where}{name} is {value:g}. {value:g} m? Give metres",
             f"e.g. {value / parts:g} for {value:g} {unit}; a turntable is usually 1 m from the antennas.",
         )
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(
-            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}",
+            f"{where}{name} is {value}, expected {setting.low:g} to {setting.high:g}",
             _another(setting, "a value in this range"),
         )
     if setting.choices and value not in setting.choices:
         raise ConfigError(
-            f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}",
+            f"{where}{name} is {value!r}, expected one of {', '.join(setting.choices)}",
             _another(setting, "one of these"),
         )
     return value
@@ -269,7 +269,7 @@ def read_file(path: Path, tolerant: bool = False) -> dict[str, Any]:
             continue
         for key, raw in table.items():
             with _remarked(tolerant):
-                settings[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
+                settings[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, f"{path}: ")
     return settings
 
 
@@ -291,11 +291,7 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
     with _remarked(tolerant):
         measured = _measured()
     values: dict[str, ConfigValue] = {}
-    given = {
-        name: parse_value(name, raw, "command line")
-        for name, raw in (overrides or {}).items()
-        if raw is not None
-    }
+    given = {name: parse_value(name, raw) for name, raw in (overrides or {}).items() if raw is not None}
     for setting in SETTINGS:
         if setting.name in given:
             values[setting.name] = ConfigValue(given[setting.name], "command line")
@@ -308,7 +304,7 @@ def load_config(overrides: Mapping[str, Any] | None = None, tolerant: bool = Fal
         if raw := os.environ.get(setting.variable):
             with _remarked(tolerant):
                 values[setting.name] = ConfigValue(
-                    parse_value(setting.name, raw, setting.variable), "environment"
+                    parse_value(setting.name, raw, f"{setting.variable}: "), "environment"
                 )
     return Config(values, path)
 
@@ -350,7 +346,7 @@ def change_settings(changes: Mapping[str, Any | None]) -> Path:
         if raw is None and name in known:
             settings.pop(name, None)
         else:
-            settings[name] = parse_value(name, raw, "command line")
+            settings[name] = parse_value(name, raw)
     _write(path, settings)
     return path
 

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 LOOPS = {
-    "tagid.imaging._kernel": 3,
+    "tagid.imaging._kernel": 4,
     "tagid.imaging.ats._field": 1,
     "tagid.reading._evidence": 4,
     "tagid.reading._sets": 4,

@@ -49,7 +49,7 @@ def config(
         if value is not None:
             _check_url(name, value)
         path = change_settings({name: value})
-        parsed = None if value is None else parse_value(name, value, "command line")
+        parsed = None if value is None else parse_value(name, value)
         in_its_unit = isinstance(parsed, float) and value is not None and value[-1:].isalpha()
         shown = str(parsed) if isinstance(parsed, Secret) or in_its_unit else value
         text = f"{name} = {shown}" if value is not None else f"{name} reset to its default"
@@ -61,7 +61,7 @@ def config(
         actions = ("show", "set", "unset", "path")
         raise UsageError(f"unknown action {action!r}", f"{meant(action, actions)}Use {', '.join(actions)}.")
     if name is not None:
-        setting_named(name, "command line")
+        setting_named(name)
     chosen = [(item, loaded.values[item.name]) for item in SETTINGS if name in (None, item.name)]
     rows = [
         (item.name, "-" if entry.value is None else str(entry.value), entry.source, item.help)

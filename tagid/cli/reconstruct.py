@@ -43,7 +43,7 @@ class _MethodOptions:
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE",
-            help="A setting of ats: robust=3, aspect_harmonics=2, occlusion=0.3, steps=200 and more.",
+            help="A setting of ats: prior=dense, robust=3, steps=200 and more.",
         ),
     ] = None
 

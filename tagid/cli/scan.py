@@ -127,7 +127,14 @@ def scan(
     plan = partial(place.plan, scans, max_seconds, about)
     if levels is not None:
         return scan_heights(terminal, place, plan, levels, Lift.of(place, yes))
-    turns = [_scan(terminal, place, plan, view) for _ in range(repeat)]
+    turns: list[Result] = []
+    try:
+        for _ in range(repeat):
+            turns.append(_scan(terminal, place, plan, view))
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, _all_kept(turns)) from stop
+    except TagidError as error:
+        raise type(error)(error.message, f"{error.remedy} {_all_kept(turns)}".strip()) from error
     if repeat > 1 and not any(turn.errors for turn in turns):
         return _joint(terminal, place, turns)
     return next((turn for turn in turns if turn.errors), turns[-1])
@@ -269,8 +276,17 @@ def _record_and_read(
     return recorded, answer, figures, messages
 
 
-def _kept(path: Path) -> str:
+def _kept(path: Path | str) -> str:
     return f"The capture is stored in {path}; read it with `tagid identify {path}`."
+
+
+def _all_kept(turns: list[Result]) -> str:
+    """The revolutions before an error, and how to go on with them; "" if there are none."""
+    files = [turn.data["files"]["capture"] for turn in turns]
+    if len(files) < 2:
+        return "".join(map(_kept, files))
+    names = " ".join(files)
+    return f"{len(files)} captures are stored; `tagid identify --vote {names}` gives their joint answer."
 
 
 _FRAME_S = 0.1

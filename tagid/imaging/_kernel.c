@@ -6,8 +6,6 @@
  * gather:  out[p]    += sum_v (1 - f) row_v[i] + f row_v[i + 1],        i + f = d_vp - start
  * scatter: row_v[i]  += (1 - f) x_p,  row_v[i + 1] += f x_p             (row index clipped to the row)
  *
- * With channels, view v sees x_p = sum_c light_vc x_cp, and out[c][p] += light_vc sum of the rows.
- *
  * d_vp = |antenna_v - point_p|, or with a second antenna (|antenna_v - point_p| + |second_v - point_p|) / 2.
  * Points lie in the plane z = 0 unless heights are given. All lengths are in units of the row's range step. Only the stable ABI and the buffer protocol are used.
  */
@@ -34,8 +32,7 @@ typedef struct {
     const float *second;  /* (views, 3), or NULL */
     const float *x, *y;   /* (points,) */
     const float *z;       /* (points,), or NULL */
-    const float *light;   /* (views, channels, 2), or NULL */
-    int64_t views, points, bins, channels;
+    int64_t views, points, bins;
     float start;
 } Geometry;
 
@@ -109,21 +106,6 @@ INLINE void locate(const Geometry *g, int64_t view, int64_t at, int n, int32_t *
         locate_plane(g, view, at, n, bin, f);
 }
 
-/* What a view sees of the channels x (channels, points, 2) of n points: seen (n, 2). */
-INLINE void mix(const Geometry *g, int64_t view, int64_t at, int n, const float *x, float *restrict seen)
-{
-    const float *light = g->light + 2 * view * g->channels;
-    memset(seen, 0, (size_t)n * 2 * sizeof(float));
-    for (int64_t c = 0; c < g->channels; c++) {
-        const float lr = light[2 * c], li = light[2 * c + 1];
-        const float *restrict part = x + 2 * (c * g->points + at);
-        for (int k = 0; k < n; k++) {
-            seen[2 * k] += lr * part[2 * k] - li * part[2 * k + 1];
-            seen[2 * k + 1] += lr * part[2 * k + 1] + li * part[2 * k];
-        }
-    }
-}
-
 /* Points [from, to): out (points, 2) of rows (views, bins, 2). */
 WIDE static void gather_points(const Geometry *g, const float *rows, float *out, int64_t from, int64_t to)
 {
@@ -157,57 +139,19 @@ WIDE static void gather_points(const Geometry *g, const float *rows, float *out,
     }
 }
 
-/* The same with channels: out (channels, points, 2). `sums` is scratch of 2 * channels * BLOCK floats. */
-WIDE static void gather_channels(const Geometry *g, const float *rows, float *out, float *sums, int64_t from, int64_t to)
-{
-    int32_t bin[BLOCK];
-    float f[BLOCK], re[BLOCK], im[BLOCK];
-    const int64_t channels = g->channels;
-    for (int64_t at = from; at < to; at += BLOCK) {
-        const int n = (int)(to - at < BLOCK ? to - at : BLOCK);
-        memset(sums, 0, (size_t)channels * 2 * BLOCK * sizeof(float));
-        for (int64_t v = 0; v < g->views; v++) {
-            const float *restrict row = rows + 2 * v * g->bins, *light = g->light + 2 * v * channels;
-            locate(g, v, at, n, bin, f);
-            for (int k = 0; k < n; k++) {
-                const float *a = row + 2 * (int64_t)bin[k], w = f[k], u = 1.0f - w;
-                re[k] = u * a[0] + w * a[2];
-                im[k] = u * a[1] + w * a[3];
-            }
-            for (int64_t c = 0; c < channels; c++) {
-                const float lr = light[2 * c], li = light[2 * c + 1];
-                float *restrict sr = sums + 2 * c * BLOCK, *restrict si = sr + BLOCK;
-                for (int k = 0; k < n; k++) {
-                    sr[k] += lr * re[k] - li * im[k];
-                    si[k] += lr * im[k] + li * re[k];
-                }
-            }
-        }
-        for (int64_t c = 0; c < channels; c++)
-            for (int k = 0; k < n; k++) {
-                out[2 * (c * g->points + at + k)] = sums[2 * c * BLOCK + k];
-                out[2 * (c * g->points + at + k) + 1] = sums[2 * c * BLOCK + BLOCK + k];
-            }
-    }
-}
-
 /* Views [from, to): rows (views, bins, 2) of x (points, 2). `pair` is scratch of 4 * bins floats: every bin
  * keeps what went to it and to its right neighbour apart, so that successive writes never half overlap. */
 WIDE static void scatter_views(const Geometry *g, const float *x, float *rows, float *pair, int64_t from, int64_t to)
 {
     int32_t bin[BLOCK];
-    float f[BLOCK], seen[2 * BLOCK];
+    float f[BLOCK];
     for (int64_t v = from; v < to; v++) {
         float *restrict row = rows + 2 * v * g->bins;
         memset(pair, 0, (size_t)g->bins * 4 * sizeof(float));
         for (int64_t at = 0; at < g->points; at += BLOCK) {
             const int n = (int)(g->points - at < BLOCK ? g->points - at : BLOCK);
-            const float *from_x = x + 2 * at;
+            const float *restrict from_x = x + 2 * at;
             locate(g, v, at, n, bin, f);
-            if (g->light) {
-                mix(g, v, at, n, x, seen);
-                from_x = seen;
-            }
             for (int k = 0; k < n; k++) {
                 float *restrict s = pair + 4 * (int64_t)bin[k];
                 const float *a = from_x + 2 * k;
@@ -241,8 +185,6 @@ static void *work(void *argument)
     Job *job = argument;
     if (job->scatter)
         scatter_views(job->g, job->in, job->out, job->scratch, job->from, job->to);
-    else if (job->g->light)
-        gather_channels(job->g, job->in, job->out, job->scratch, job->from, job->to);
     else
         gather_points(job->g, job->in, job->out, job->from, job->to);
     return NULL;
@@ -279,24 +221,21 @@ static void run(Job *first, int64_t count, int threads)
 
 static PyObject *apply(PyObject *args, int scatter)
 {
-    Py_buffer antenna, second, x, y, z, light, in, out;
+    Py_buffer antenna, second, x, y, z, in, out;
     Py_ssize_t bins;
     float start;
     int threads;
-    if (!PyArg_ParseTuple(args, "y*y*y*y*y*y*y*w*nfi", &antenna, &second, &x, &y, &z, &light, &in, &out, &bins, &start,
-                          &threads))
+    if (!PyArg_ParseTuple(args, "y*y*y*y*y*y*w*nfi", &antenna, &second, &x, &y, &z, &in, &out, &bins, &start, &threads))
         return NULL;
-    /* An empty buffer of second antennas, of heights or of light stands for none. */
-    const int64_t views = antenna.len / 12, channels = light.len && views ? light.len / 8 / views : 1;
+    /* An empty buffer of second antennas or of heights stands for none. */
     Geometry g = {antenna.buf, second.len ? second.buf : NULL, x.buf, y.buf, z.len ? z.buf : NULL,
-                  light.len ? light.buf : NULL, views, x.len / 4, bins, channels, start};
+                  antenna.len / 12, x.len / 4, bins, start};
     const Py_buffer *rows = scatter ? &out : &in, *image = scatter ? &in : &out;
     PyObject *result = NULL;
     float *scratch = NULL;
     if (bins < 2 || bins > (1 << 24) || antenna.len != g.views * 12 || x.len != g.points * 4 || y.len != x.len ||
         (second.len && second.len != antenna.len) || (z.len && z.len != x.len) ||
-        (light.len && (channels < 1 || channels > 4096 || light.len != views * channels * 8)) ||
-        image->len / 8 / channels != g.points || image->len != g.points * channels * 8 || rows->len / 8 / bins != g.views || rows->len != g.views * bins * 8) {
+        image->len / 8 != g.points || image->len != g.points * 8 || rows->len / 8 / bins != g.views || rows->len != g.views * bins * 8) {
         PyErr_SetString(PyExc_ValueError, "buffers of antennas, points, rows and image do not fit together");
         goto done;
     }
@@ -307,7 +246,7 @@ static PyObject *apply(PyObject *args, int scatter)
         threads = (int)count;
     if (threads < 1)
         threads = 1;
-    const int64_t room = scatter ? 4 * bins : light.len ? 2 * channels * BLOCK : 0;
+    const int64_t room = scatter ? 4 * bins : 0;
     if (room && !(scratch = malloc((size_t)threads * (size_t)room * sizeof(float)))) {
         PyErr_NoMemory();
         goto done;
@@ -325,7 +264,6 @@ done:
     PyBuffer_Release(&x);
     PyBuffer_Release(&y);
     PyBuffer_Release(&z);
-    PyBuffer_Release(&light);
     PyBuffer_Release(&in);
     PyBuffer_Release(&out);
     return result;
@@ -335,8 +273,8 @@ static PyObject *gather(PyObject *self, PyObject *args) { (void)self; return app
 static PyObject *scatter(PyObject *self, PyObject *args) { (void)self; return apply(args, 1); }
 
 static PyMethodDef methods[] = {
-    {"gather", gather, METH_VARARGS, "gather(antenna, second, x, y, z, light, rows, out, bins, start, threads)"},
-    {"scatter", scatter, METH_VARARGS, "scatter(antenna, second, x, y, z, light, image, out, bins, start, threads)"},
+    {"gather", gather, METH_VARARGS, "gather(antenna, second, x, y, z, rows, out, bins, start, threads)"},
+    {"scatter", scatter, METH_VARARGS, "scatter(antenna, second, x, y, z, image, out, bins, start, threads)"},
     {NULL, NULL, 0, NULL},
 };
 
@@ -349,7 +287,7 @@ PyMODINIT_FUNC PyInit__kernel(void)
 {
     PyObject *made = PyModule_Create(&module);
     /* `tagid.loops` uses no build of other arguments. */
-    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 3) < 0) {
+    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 4) < 0) {
         Py_DECREF(made);
         return NULL;
     }

@@ -29,14 +29,6 @@ class OutsideFacts(TypedDict):
     subtracted: bool
 
 
-class ComparedFacts(TypedDict):
-    """What a prior and the defaults leave of the views that both were tried on, and their number."""
-
-    residual: float
-    default: float
-    views: int
-
-
 class AxisFacts(TypedDict):
     """A learned distance of the axis, m."""
 
@@ -86,9 +78,7 @@ class ImageFacts(TypedDict, total=False):
     held_out: HeldOutFacts
     outside: OutsideFacts
     prior: str
-    prior_trials: dict[str, float]
-    prior_against_default: ComparedFacts
-    priors_not_tried: list[str]
+    default_residual: float
     calibration: CalibrationFacts
     warnings: list[str]
 

@@ -92,17 +92,6 @@ class Prediction:
         empty = np.zeros(0)
         return cls(empty, empty, empty.astype(np.complex128))
 
-    def and_of(self, others: Prediction) -> Prediction:
-        """These views and others."""
-        return Prediction(
-            np.concatenate([self.measured, others.measured]),
-            np.concatenate([self.predicted, others.predicted]),
-            np.concatenate([self.product, others.product]),
-        )
-
-    def first(self, views: int) -> Prediction:
-        return Prediction(self.measured[:views], self.predicted[:views], self.product[:views])
-
     @property
     def misfits(self) -> NDArray[np.float64]:
         """Energy that is left of every view; one complex factor is fitted to all of them together.

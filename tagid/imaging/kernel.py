@@ -18,6 +18,7 @@ from tagid.errors import UsageError
 from tagid.geometry import Aperture
 from tagid.imaging.memory import require_memory
 from tagid.loops import loop
+from tagid.types import Samples
 
 _compiled = loop("tagid.imaging._kernel")
 
@@ -38,9 +39,6 @@ _MOST_STORED = 1 << 25
 FAR = 2.0**20
 """Steps to an antenna from which on a distance is computed in double precision, by numpy: in single precision
 it is rounded to an eighth of a step there, and the phases of a flight at 10 km to stripes."""
-
-
-_NO_LIGHT = np.zeros(0, dtype=np.complex64)
 
 
 def is_compiled() -> bool:
@@ -118,47 +116,34 @@ class RangeGeometry:
         z = self.z[points] if len(self.z) else self.z
         return replace(self, x=self.x[points], y=self.y[points], z=z)
 
-    def gather(
-        self, rows: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
-    ) -> NDArray[np.complex64]:
+    def gather(self, rows: NDArray[np.complexfloating]) -> Samples:
         """(points,) complex64 sum_v of row v at the distance of every point, by linear interpolation between
         bins.
 
-        Beyond its ends a row (bins,) is continued by its first and last value. With `light`, (views,
-        channels), which every view adds to each channel, it is (channels, points).
+        Beyond its ends a row (bins,) is continued by its first and last value.
         """
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
-        out = np.zeros((1 if light is None else light.shape[1], self.points), dtype=np.complex64)
+        out = np.zeros(self.points, dtype=np.complex64)
         if _compiled is not None and self._in_single:
-            some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
-            place = (self.antenna, self.second, self.x, self.y, self.z, some)
+            place = self.antenna, self.second, self.x, self.y, self.z
             _compiled.gather(*place, z, out, self.bins, self.start, self._threads(self.points))
         else:
             for view, (bin_, part) in enumerate(self._places()):
                 left = z[view].take(bin_)
-                there = left + part * (z[view].take(bin_ + 1) - left)
-                out += there if light is None else light[view, :, None] * there
-        return out[0] if light is None else out
+                out += left + part * (z[view].take(bin_ + 1) - left)
+        return out
 
-    def scatter(
-        self, values: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
-    ) -> NDArray[np.complex64]:
-        """The exact transpose of `gather`: (points,) complex -> (views, bins) complex64.
-
-        With `light`, (views, channels), the values are (channels, points).
-        """
-        channels = 1 if light is None else light.shape[1]
-        x = np.ascontiguousarray(values, dtype=np.complex64).reshape(channels, self.points)
+    def scatter(self, values: NDArray[np.complexfloating]) -> Samples:
+        """The exact transpose of `gather`: (points,) complex -> (views, bins) complex64."""
+        x = np.ascontiguousarray(values, dtype=np.complex64).reshape(self.points)
         out = np.zeros((self.views, self.bins), dtype=np.complex64)
         if _compiled is not None and self._in_single:
-            some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
-            place = (self.antenna, self.second, self.x, self.y, self.z, some)
+            place = self.antenna, self.second, self.x, self.y, self.z
             _compiled.scatter(*place, x, out, self.bins, self.start, self._threads(self.views))
             return out
-        for view, (bin_, part) in enumerate(self._places()):
-            seen, row = x[0] if light is None else light[view] @ x, out[view]
+        for row, (bin_, part) in zip(out, self._places(), strict=True):
             for weight, first in ((1 - part, 0), (part, 1)):
-                for side, target in ((seen.real, row.real), (seen.imag, row.imag)):
+                for side, target in ((x.real, row.real), (x.imag, row.imag)):
                     target[first : first + self.bins - 1] += np.bincount(bin_, weight * side, self.bins - 1)
         return out
 

@@ -275,39 +275,11 @@ def held_out_words(settings: ImageFacts) -> list[str]:
 
 
 def prior_words(settings: ImageFacts) -> list[str]:
-    """The prior that ATS used instead of its default, if it tried any, and the priors that it did not try."""
-    words = _prior_words(settings)
-    skipped = settings.get("priors_not_tried")
-    if words and skipped:
-        words[0] += f"; not tried because the image is large: {'; '.join(skipped)}"
-    return words
-
-
-def _prior_words(settings: ImageFacts) -> list[str]:
-    from tagid.imaging.ats.settings import Prior
-
-    prior, tried = settings.get("prior"), settings.get("prior_trials")
-    if not prior or not tried:
+    """That ATS has taken the scene for an extended one, where it has."""
+    remaining = settings.get("default_residual")
+    if remaining is None:
         return []
-    residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
-    than = f"the default prior {100 * tried['default']:.1f} %"
-    both = settings.get("prior_against_default")
-    if both and both["residual"] != tried[prior]:
-        than = f"of the first {both['views']} of them {100 * both['residual']:.1f} %, {than}"
-    iterations = Prior(prior).iterations
-    if iterations is not None and iterations <= 1:
-        return [
-            f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
-        ]
-    if iterations is not None:
-        return [f"linear solution after {iterations} iterations: {residual}, {than}"]
-    if prior == Prior.PIXELS:
-        return [f"sparse solution without a field: {residual}, {than}"]
-    if prior == "default":
-        others = [tried[name] for name in tried if name != prior]
-        more = sum(value > tried[prior] for value in others)
-        return [f"default prior kept: {residual}, less than {more} of {len(others)} others"]
-    return [f"prior {prior}: {residual}, {than}"]
+    return [f"extended scene (few reflectors would leave {100 * remaining:.1f} % of held-out views)"]
 
 
 def outside_words(settings: ImageFacts) -> list[str]:
@@ -375,14 +347,8 @@ def learned_words(result: Reconstruction) -> list[str]:
 
 
 def method_shown(result: Reconstruction) -> str:
-    """The method for a picture's title; of ATS also the variant or the solution that replaced the field."""
-    from tagid.imaging.ats.settings import Prior
-
-    if result.image.settings.get("preset") == "paper":
+    """The method for a picture's title; of ATS also the variant, or that the scene is extended."""
+    settings = result.image.settings
+    if settings.get("preset") == "paper":
         return "ATS, paper"
-    prior = Prior.of(result.image.settings)
-    if prior is Prior.PIXELS:
-        return "ATS, sparse solution"
-    if prior.iterations is None:
-        return result.method.upper()
-    return "ATS, backprojection" if prior.iterations <= 1 else "ATS, linear solution"
+    return "ATS, extended scene" if "default_residual" in settings else result.method.upper()

@@ -14,13 +14,14 @@ from tagid._version import __version__
 from tagid.capture import Capture
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import fit_adapted, image_without_field, settings_of
+from tagid.imaging.ats.adapt import fit_adapted, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.bandcheck import band_warning, closure_warning
 from tagid.imaging.copies import path_warning
+from tagid.imaging.coupled import coupled_recovery
 from tagid.imaging.facts import HeldOutFacts, OutsideFacts
 from tagid.imaging.farfield import polar_format, range_doppler
 from tagid.imaging.heldout import check, left_out
@@ -177,8 +178,7 @@ def reconstruct(
         remark = remarked(progress, "held-out views")
         predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, remark)
     with watch.stage("image"):
-        sharp = METHODS[method].sparse and Prior.of(image.settings).iterations is None
-        if settings.restore and sharp and settings.preset != "paper":
+        if settings.restore and METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     beyond = None if outside is None else outside.facts(subtracted)
     facts = _facts(prepared, scans, image, focus, region, beyond, predicted, warnings)
@@ -320,21 +320,21 @@ def _held_out(
         unfiltered = scans
     # The image was made with this seed, whatever the settings of ATS say.
     ats = replace(settings_of(made.settings, settings.ats), seed=settings.seed)
-    prior = Prior.of(made.settings)
+    coupled = Prior.of(made.settings) is Prior.COUPLED
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
         scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
 
     def make(some: BasebandScans) -> Image:
-        if prior.field is None:
-            return image_without_field(some, grid, prior, ats)
+        if coupled:
+            return coupled_recovery(some, grid)
         return make_image(some, grid, method, settings.seed, "field", None, ats)
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
         return fit(all_views, grid, ats, lambda step, of, _: progress(step, of), unseen).held_out
 
-    return check(scans, unfiltered, grid, make, predicted if method == "ats" and prior.field else None)
+    return check(scans, unfiltered, grid, make, predicted if method == "ats" and not coupled else None)
 
 
 def check_extent(capture: Capture, grid: ImageGrid) -> None:

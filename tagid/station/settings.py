@@ -102,7 +102,7 @@ class Settings:
                 if isinstance(value, bool) or not isinstance(value, (str, int, float)) or value == "":
                     raise UsageError(f"{name} must be a text or a number")
                 try:
-                    checked = parse_value(name, value, "settings")
+                    checked = parse_value(name, value)
                 except ConfigError as error:  # of the request, not of the file
                     raise UsageError(error.message, error.remedy) from None
                 if name == "radar.url":

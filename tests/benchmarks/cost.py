@@ -281,7 +281,7 @@ SCENE_SEED = 8000
 
 
 def priors(run: Run) -> Iterator[Table]:
-    """What the trials of priors cost beside FISTA, and what they bring on unseen views; each scene once."""
+    """What extended scenes cost beside FISTA, and what they bring on unseen views; each scene once."""
     run.seeds = str(SCENE_SEED)
     rows = []
     for (family, radar), views in product(SCENES, (12, 36, 120)) if not run.quick else [(SCENES[0], 36)]:
@@ -304,11 +304,11 @@ def priors(run: Run) -> Iterator[Table]:
         shares = [ats["held_out"][key] for key in ("noise", "backprojection")]
         shares += [facts["held_out"]["residual"] for facts in (sparse, ats)]
         times = [*(f"{1e3 * t:.0f}" for t in took), *(f"{t / took[0]:.1f}" for t in took[1:])]
-        prior = ats.get("prior", "no trial")
+        prior = ats.get("prior", "default")
         rows.append([f"{family}, {radar}", str(views), *times, prior, *(f"{100 * s:.1f}" for s in shares)])
         run.say(str(rows[-1]))
     columns = (
-        "scene | views | FISTA (ms) | one fit (ms) | with trials (ms) | fit / FISTA | trials / FISTA | "
+        "scene | views | FISTA (ms) | one fit (ms) | ATS (ms) | fit / FISTA | ATS / FISTA | "
         "prior | noise (%) | backprojection (%) | FISTA (%) | ATS (%)"
     )
     yield Table(columns, rows, shown=lambda row: row[1] == "36")

@@ -13,9 +13,11 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging import heldout
-from tagid.imaging.ats.adapt import fit_adapted, image_without_field
-from tagid.imaging.ats.settings import AtsSettings, Prior
-from tagid.imaging.types import BasebandScans
+from tagid.imaging.ats.adapt import fit_adapted
+from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.sparse import sparse_recovery
+from tagid.imaging.types import BasebandScans, Image
 from tagid.pipeline.prepared import as_prepared
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
@@ -164,10 +166,11 @@ def left_between(task: Task) -> dict[str, float | str]:
     scans, extent = scans_of(task)
     between, _ = scans_of(task._replace(views=BETWEEN))
     grid = ImageGrid(extent, 96)
+    correlated = ForwardOperator(scans, grid).adjoint(scans.samples)
     ats = fit_adapted(scans, grid, AtsSettings()).image
     images = {
-        "bp": image_without_field(scans, grid, Prior.LINEAR_1),
-        "sparse": image_without_field(scans, grid, Prior.PIXELS),
+        "bp": Image(correlated.reshape(grid.pixels, grid.pixels), grid),
+        "sparse": sparse_recovery(scans, grid),
         "ats": ats,
     }
     remaining = {name: heldout.residual(between, image) for name, image in images.items()}

@@ -16,9 +16,10 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import image_without_field, settings_of
+from tagid.imaging.ats.adapt import settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, Prior
+from tagid.imaging.coupled import coupled_recovery
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
@@ -192,19 +193,19 @@ def held_out_percent(problem: Problem, row: str) -> float:
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     # With the prior and the views a step of the image of all views.
     facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
-    prior = Prior.of(facts)
+    coupled = Prior.of(facts) is Prior.COUPLED
     ats = settings_of(facts, AtsSettings(steps=steps))
 
     def make(some: BasebandScans) -> Image:
-        if prior.field is None:
-            return image_without_field(some, problem.grid, prior)
+        if coupled:
+            return coupled_recovery(some, problem.grid)
         return make_image(some, problem.grid, method, problem.seed, ats=ats)
 
     def predicted(every: BasebandScans, unseen: np.ndarray) -> float:
-        # The fit is more than its image: what no turn changes, and what depends on the aspect.
+        # The fit is more than its image: what no turn changes.
         return fit(every, problem.grid, replace(ats, seed=problem.seed), unseen=unseen).held_out
 
-    field = method == "ats" and prior.field
+    field = method == "ats" and not coupled
     fitted = method not in ("bp", "bp-raw")
     checked = check(scans, raw, problem.grid, make if fitted else None, predicted if field else None)
     return 100 * checked["residual"] if checked is not None else float("nan")

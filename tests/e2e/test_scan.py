@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Callable
@@ -63,11 +64,13 @@ def test_a_rig_that_is_not_commissioned_is_said_where_nothing_is_named(
     assert twice.json["messages"].count(NOT_COMMISSIONED) == 1
 
 
-def recording(home: dict[str, str], url: str, folder: Path) -> subprocess.Popen[str]:
-    """A slow scan, of which some scans have arrived."""
-    words = ("--radar", url, "--axis-distance", "1", "--motion", "free?rpm=1", "--save-dir", str(folder))
+def recording(
+    home: dict[str, str], url: str, folder: Path, *more: str, rpm: int = 1
+) -> subprocess.Popen[str]:
+    """A scan, of which some scans have arrived."""
+    words = ("--radar", url, "--axis-distance", "1", "--motion", f"free?rpm={rpm}", "--save-dir", str(folder))
     client = subprocess.Popen(
-        [*TAGID, "scan", *words, "--output", "json"],
+        [*TAGID, "scan", *words, *more, "--output", "json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
     )  # fmt: skip
     wait_until(lambda: journal_bytes(folder) > 100_000, client)
@@ -86,6 +89,21 @@ def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_
     capture = read_any(path)
     assert capture.views > 20
     assert not capture.complete
+
+
+def test_an_error_names_the_revolutions_before_it(home: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with emulated_radar(home, "--scene", "helmet-120", "--rpm", "40", "--rate", "0") as (url, process):
+        client = recording(home | {"TAGID_RADAR_TIMEOUT_S": "0.5"}, url, folder, "--repeat", "9", rpm=40)
+        wait_until(lambda: len(list(folder.glob("*.tagid.h5"))) == 2, client)
+        process.kill()
+        out, err = client.communicate(timeout=60)
+    (problem,) = json.loads(out)["errors"]
+    assert (client.returncode, problem["code"]) == (4, "device_timeout"), err
+    kept = re.search(r"`tagid identify --vote (.*)` gives their joint answer", problem["remedy"])
+    assert kept, problem
+    named = kept.group(1).split()
+    assert len(named) >= 2 and all(read_any(Path(path)).complete for path in named)
 
 
 def test_ctrl_c_stops_the_radar_and_keeps_the_scans(

@@ -17,12 +17,9 @@ from tagid.imaging.ats.calibration import (
     angle_error,
     illumination,
     improve,
-    transmission,
 )
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, FitSettings
-from tagid.imaging.heldout import left_out
-from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.acquisition import Acquisition
@@ -126,15 +123,6 @@ def test_scene_and_calibration_are_learned_together() -> None:
     assert joint.calibration.sigma_m < 0.001
 
 
-def test_aspect_harmonics_explain_what_is_dim_from_behind() -> None:
-    facing = 0.5 + 0.5 * np.cos(np.arange(VIEWS) * 2 * np.pi / VIEWS - 1.0)
-    scans = scans_of(np.zeros(1), 0.0, gain=facing)
-    isotropic = fit(scans, GRID, FitSettings(held_out=0.25))
-    aspect = fit(scans, GRID, FitSettings(held_out=0.25, aspect_harmonics=2))
-    assert aspect.held_out < 0.6 * isotropic.held_out
-    assert aspect.field.image().shape == (5, 48, 48)
-
-
 def test_robust_weights_resist_a_few_wild_scans() -> None:
     scans = scans_of(np.zeros(1), 0.0)
     wild = scans.samples.copy()
@@ -145,35 +133,6 @@ def test_robust_weights_resist_a_few_wild_scans() -> None:
     plain = fit(broken, GRID, FitSettings(held_out=0.0)).image.values
     robust = fit(broken, GRID, FitSettings(held_out=0.0, robust=3.0)).image.values
     assert np.linalg.norm(robust - clean) < 0.9 * np.linalg.norm(plain - clean)
-
-
-def test_nothing_hides_in_front_and_half_hides_behind() -> None:
-    """A wall across the middle: seen from +x, what lies at -x is dimmed, what lies at +x is not."""
-    wall = np.zeros((48, 48))
-    wall[:, 24] = 1.0
-    remaining = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(48, 48)
-    assert remaining[20:28, :20].max() < 0.6
-    assert remaining[20:28, 30:].min() > 0.95
-    assert remaining[20:28, 10] == pytest.approx(np.exp(-0.7), abs=0.08)
-    finer = ImageGrid(GRID.extent, 96)
-    wall = np.kron(wall, np.ones((2, 2)))
-    same = transmission(wall, finer, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(96, 96)
-    assert same[40:56, 20] == pytest.approx(np.exp(-0.7), abs=0.08)
-
-
-def test_views_that_no_fit_has_seen_are_predicted_with_their_shadows() -> None:
-    """A wall in the middle hides the points behind it, in the views on the other side."""
-    truth = np.zeros((48, 48), dtype=np.complex64)
-    truth[14:34, 24] = 1.0
-    truth[[20, 28, 24], [12, 14, 37]] = 3.0j
-    scans = scans_of(np.zeros(1), 0.0)
-    shade = transmission(np.minimum(np.abs(truth), 1), GRID, scans.aperture.positions, 1.5, GRID.step)
-    seen = ForwardOperator(scans, GRID).forward_by_view(truth.ravel() * row for row in shade)
-    level = np.abs(seen).max() / np.abs(scans.samples).max()
-    scans = BasebandScans(**{**scans.__dict__, "samples": seen + level * scans.samples * np.float32(1e-3)})
-    dense = AtsSettings(prior="dense")
-    plain, shaded = (fit(scans, GRID, replace(dense, occlusion=n), unseen=left_out(VIEWS)) for n in (0, 2.0))
-    assert shaded.held_out < 0.8 * plain.held_out
 
 
 def test_samples_that_are_not_finite_are_refused() -> None:

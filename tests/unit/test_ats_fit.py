@@ -78,14 +78,12 @@ def test_many_views_are_used_in_subsets() -> None:
 
 
 def test_the_first_image_is_what_the_field_shows() -> None:
-    shape = FieldShape((8, 16, 64), features=2, width=8, channels=3)
+    shape = FieldShape((8, 16, 64), features=2, width=8)
     axis = np.linspace(-0.25, 0.25, 65)
     first = np.exp(-((axis - 0.1) ** 2 + (axis[:, None] + 0.05) ** 2) / 2e-3) * 0.3j
     field = draw_weights(shape, GRID, 2.0, seed=1, first=first)
     places = [np.hypot(*(GRID.points - at).T).argmin() for at in ([0.1, -0.05], [-0.15, 0.15])]
-    shown = field.image().reshape(3, -1)[:, places]
-    np.testing.assert_allclose(shown[1], [0.6j, 0], atol=0.06)
-    assert np.abs(shown[[0, 2]]).max() < 0.06
+    np.testing.assert_allclose(field.image().ravel()[places], [0.6j, 0], atol=0.06)
 
 
 def test_a_single_point_of_a_full_turn_is_no_ring() -> None:
@@ -142,8 +140,8 @@ def test_few_views_get_more_steps_unless_the_number_is_given() -> None:
     [
         {"steps": -1},
         {"robust": float("nan")},
-        {"occlusion": -1.0},
-        {"prior": "pixels"},
+        {"spreading": -1.0},
+        {"prior": "coupled"},
         {"engine": "x"},
         {"calibrate": ("x",)},
     ],

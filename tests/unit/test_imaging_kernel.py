@@ -53,24 +53,12 @@ def test_gather_is_linear_interpolation_held_at_the_ends(engine, bins):
     assert np.abs(geometry(bins).gather(rows) - truth).max() < 1e-3 * np.abs(truth).max()
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_channels_are_mixed_by_every_view(engine, channels):
-    """The transpose, and the sums of the channels one by one."""
-    where, light = geometry(), complex_noise(len(ANTENNA), channels)
-    rows, values = complex_noise(len(ANTENNA), 500), complex_noise(channels, len(POINTS))
-    seen, back = where.scatter(values, light), where.gather(rows, light)
-    left, right = (back * values).sum(dtype=complex), (seen * rows).sum(dtype=complex)
+def test_scatter_is_the_transpose_of_gather(engine):
+    where = geometry()
+    rows, values = complex_noise(len(ANTENNA), 500), complex_noise(len(POINTS))
+    left = (where.gather(rows) * values).sum(dtype=complex)
+    right = (where.scatter(values) * rows).sum(dtype=complex)
     assert abs(left - right) < 1e-5 * np.linalg.norm(rows) * np.linalg.norm(values)
-    alone = sum(light[:, c, None] * where.scatter(values[c]) for c in range(channels))
-    np.testing.assert_allclose(seen, alone, atol=1e-4)
-    for channel, part in enumerate(back):
-        np.testing.assert_allclose(part, where.gather(rows * light[:, channel, None]), atol=1e-3)
-
-
-@compiled
-def test_light_that_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match="fit"):
-        geometry().scatter(complex_noise(2, len(POINTS)), complex_noise(len(ANTENNA) - 1, 2))
 
 
 def test_threads_do_not_change_the_sums(monkeypatch):
@@ -87,7 +75,7 @@ def test_threads_do_not_change_the_sums(monkeypatch):
 @compiled
 def test_buffers_that_do_not_fit_are_refused():
     where = geometry()
-    buffers = np.zeros(0, np.complex64), complex_noise(23, 500), complex_noise(70)
+    buffers = complex_noise(23, 500), complex_noise(70)
     for bins in (0, 1, 499, 501, -5, 1 << 40):
         with pytest.raises(ValueError, match="fit"):
             kernel._compiled.gather(

@@ -11,7 +11,6 @@ from scipy.special import j0
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import least_squares
 from tagid.imaging.autofocus import focus_axis_distance, sharpness
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, residual
@@ -136,29 +135,6 @@ def coarse_scans():
     """For pixels over half a wavelength apart: the columns of the operator are nearly orthogonal."""
     capture = record([[0.05, 0.02], [-0.06, 0.01]], [1, 0.5j], turn(20), analytic=True, noise=0.1)
     return scans_from(capture, COARSE.extent)
-
-
-def test_many_iterations_are_least_squares_and_the_first_is_scaled_backprojection() -> None:
-    data = coarse_scans()
-    operator = ForwardOperator(data, COARSE)
-    first, late = least_squares(operator, data.samples, (1, 60))
-    back = operator.adjoint(data.samples)
-    seen = operator.forward(back)
-    factor = np.vdot(seen, data.samples) / np.vdot(seen, seen)
-    np.testing.assert_allclose(first, factor.real * back, atol=1e-3 * np.abs(first).max())
-    units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
-    dense = np.stack([unit.forward(np.ones(1)).ravel() for unit in units], axis=1).astype(np.complex128)
-    y = data.samples.ravel()
-    direct = y - dense @ np.linalg.lstsq(dense, y, rcond=None)[0]
-    mine = y - operator.forward(late).ravel()
-    assert np.linalg.norm(mine) < 1.02 * np.linalg.norm(direct)
-
-
-def test_zero_scans_give_a_zero_solution() -> None:
-    data = coarse_scans()
-    operator = ForwardOperator(data, COARSE)
-    for solution in least_squares(operator, np.zeros_like(data.samples), (1, 3)):
-        assert not solution.any()
 
 
 def test_the_energy_left_of_every_view_adds_up_to_the_residual() -> None:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
-from tagid.imaging.bilinear import bilinear
 from tagid.imaging.facts import CalibrationFacts
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
@@ -378,57 +377,8 @@ def _spots(points: Floats, sigma: Samples, apart_m: float) -> list[NDArray[np.bo
     return [nearest == k for k in range(len(centres))]
 
 
-CLEAR_CELLS = 2.0
-"""So many cells before a point nothing hides it: it is itself spread over them."""
-
 _NEAREST = 0.05
 """Points nearer than this part of the middle distance get no more light: 5 cm at 1 m."""
-
-
-def transmission(
-    power: NDArray[np.floating],
-    grid: ImageGrid,
-    positions: NDArray[np.float64],
-    nepers: float,
-    cell_m: float,
-) -> NDArray[np.float32]:
-    """(views, pixels^2) float32 exp(-integral of nepers |sigma|^2 / max |sigma|^2 over the way in cells), 0
-    to 1.
-
-    The paper's transmission, two ways, computed between steps from the current image, so that the step itself
-    stays linear in the scene. The power, not the amplitude: a scattered wave takes its power from the one
-    that passes, and sidelobes and noise all over the image must not dim it. The integral runs along the
-    straight line from the antenna's foot to `CLEAR_CELLS` before the pixel, on a polar grid about the antenna
-    whose step is a pixel.
-
-    Args:
-        power: (pixels, pixels) |sigma|^2, index (y, x).
-        positions: (views, 3) antenna positions, m.
-        nepers: attenuation of the amplitude, two ways, by a cell, `cell_m` long, as bright as the brightest.
-    """
-    top = float(power.max(initial=0))
-    out = np.ones((len(positions), grid.pixels**2), dtype=np.float32)
-    if top == 0 or nepers == 0:
-        return out
-    density = (power * (nepers / top * grid.step / cell_m)).astype(np.float32)
-    clear = max(CLEAR_CELLS * cell_m, 2 * grid.step)
-    reach = grid.extent / np.sqrt(2)
-    for row, (x, y, _) in zip(out, positions, strict=True):
-        distance, bearing = np.hypot(x, y), np.arctan2(-y, -x)
-        near = max(distance - reach, grid.step)
-        ranges = np.arange(near, distance + reach + grid.step, grid.step)
-        half = float(np.arcsin(min(1.0, reach / distance))) if distance > reach else np.pi
-        angles = np.linspace(-half, half, max(3, int(np.ceil(2 * half * (distance + reach) / grid.step))))
-        px = x + ranges * np.cos(bearing + angles[:, None])
-        py = y + ranges * np.sin(bearing + angles[:, None])
-        at = [(v / grid.extent + 0.5) * grid.pixels - 0.5 for v in (py, px)]
-        crossed = np.cumsum(bilinear(density, *at), axis=1)
-        dx, dy = grid.points[:, 0] - x, grid.points[:, 1] - y
-        turned = (np.arctan2(dy, dx) - bearing + np.pi) % (2 * np.pi) - np.pi
-        place = (np.hypot(dx, dy) - clear - near) / grid.step
-        line = (turned + half) / (2 * half) * (len(angles) - 1)
-        row[:] = np.exp(-bilinear(crossed, line, place, held=True) * (place > -1))
-    return out
 
 
 def illumination(

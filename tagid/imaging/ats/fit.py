@@ -4,8 +4,8 @@ One field is fitted per scene, without any training data; what it cannot know it
 and from the smoothness of the encoding.
 
 Model of the "field" preset: sigma(p) = network(grid features at p), synthesized scan
-y[v, b] = gain_v sum_p T_vp sigma_vp response(R_b - d_vp) exp(-2jk d_vp) + static_b, and the loss is the Huber
-sum of |y - measured|^2 with sum |sigma|.
+y[v, b] = gain_v sum_p T_vp sigma_p response(R_b - d_vp) exp(-2jk d_vp) + static_b, where T is the light of
+spreading and beam, and the loss is the Huber sum of |y - measured|^2 with sum |sigma|.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError, MissingExtraError, UsageError
-from tagid.geometry import Aperture, ImageGrid
+from tagid.geometry import ImageGrid
 from tagid.imaging.ats import calibration
-from tagid.imaging.ats.calibration import Unknowns, illumination, transmission
+from tagid.imaging.ats.calibration import Unknowns, illumination
 from tagid.imaging.ats.problem import (
     Array,
     FieldShape,
@@ -52,19 +52,19 @@ from tagid.imaging.ats.settings import (
 from tagid.imaging.ats.taps import BETA1, BETA2, CHECK_AT, EPSILON, first_support, next_support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
-from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
+from tagid.types import Samples
 
 _CALIBRATED_WAVELENGTHS = 0.79
 """Range that the calibration may move points by: one and a half times the search for the axis distance (60 mm
 for a P440)."""
 
 _LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
-"""Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
+"""Parts of the steps after which calibration and robust weights are brought up to date."""
 
 MEAN_OVER = 0.3
 """Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
@@ -188,7 +188,7 @@ class _Fit:
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, WOBBLE_HARMONICS)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
-        self.shadow = self._light(self.scans)
+        self.light = self._light(self.scans)
         self.support: NDArray[np.bool_] = np.ones((grid.pixels, grid.pixels), dtype=bool)
         self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
@@ -198,7 +198,7 @@ class _Fit:
     ) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self._operators()[0], self.settings)
-        shape = FieldShape.of(self.grid, self.scans.wavelength_m, 2 * self.settings.aspect_harmonics + 1)
+        shape = FieldShape.of(self.grid, self.scans.wavelength_m)
         if scales is None:
             return self._result(None, "none")
         if start is None:
@@ -206,8 +206,7 @@ class _Fit:
             first = np.asarray(made / scales.output, dtype=np.complex64)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
             if self._screened():
-                drawn = np.abs(start.image()).max(axis=0)
-                self.support = first_support(scales.back, drawn, scales.weight)
+                self.support = first_support(scales.back, np.abs(start.image()), scales.weight)
         else:
             _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
             scales = replace(scales, output=start.scale)
@@ -273,20 +272,15 @@ class _Fit:
         return None if self.support.all() else np.flatnonzero(self.support)
 
     def _screened(self) -> bool:
-        """Whether dark pixels may be left out: shadows need all of them."""
-        return not _weighted(self.settings)
+        """Whether dark pixels may be left out: their residual counts all points alike."""
+        return self.light is None
 
     def _screen(self, field: FieldWeights, weight: float) -> None:
         """Choose the pixels again, by the residual of all views under the present field."""
         values = replace(field, support=self.support).image()
         rest = self.scans.samples - self.known.static - self._seen(values, True)
-        aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
-        square = np.zeros(self.grid.pixels**2, dtype=np.float32)
-        for channel in range(len(values)):
-            square += np.abs(self._operators()[0].adjoint(aspect[:, channel, None] * rest)) ** 2
-        side = (self.grid.pixels, self.grid.pixels)
-        magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
-        self.support = next_support(magnitude, np.sqrt(square).reshape(side), weight)
+        back = self._operators()[0].adjoint(self._factors(True).conj()[:, None] * rest)
+        self.support = next_support(np.abs(values), np.abs(back).reshape(values.shape), weight)
 
     def _operators(self) -> tuple[ForwardOperator, ForwardOperator]:
         """Operators of the views that are fitted and of the others, under the present calibration."""
@@ -298,11 +292,10 @@ class _Fit:
             self._made = key, (whole.select(fitted), whole.select(self.unseen))
         return self._made[1]
 
-    def _view_of(self, aperture: Aperture, fitted: bool) -> NDArray[np.complex128]:
-        """(views, channels) what views see of every channel; their gain is known where they were fitted."""
-        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
-        aspect = aspect * self.known.phase(self.scans.wavenumber)
-        return np.asarray(aspect * self.known.gain[:, None] if fitted else aspect)
+    def _factors(self, fitted: bool) -> NDArray[np.complex128]:
+        """(views,) what the calibration multiplies scans with; their gain is known where they were fitted."""
+        phase = self.known.phase(self.scans.wavenumber)
+        return np.asarray(phase * self.known.gain if fitted else np.full(len(self.unseen), phase))
 
     def _subsets(self, fine: FineRange, native: bool) -> list[ViewArrays]:
         """Interleaved subsets of the views under the present calibration.
@@ -315,13 +308,12 @@ class _Fit:
         points, some = self.grid.points, self._pixels()
         if native and some is not None:
             points = points[some]
-        aspect = self._view_of(aperture, True)
-        arrays = view_arrays(now, points, fine, self.confidence, aspect, self.shadow)
+        arrays = view_arrays(now, points, fine, self.confidence, self._factors(True), self.light)
         return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
         s = self.settings
-        return bool(self.what) or s.robust > 0 or s.occlusion > 0
+        return bool(self.what) or s.robust > 0
 
     def _margin(self) -> float:
         """Range that the calibration may move the points by, m."""
@@ -329,28 +321,17 @@ class _Fit:
         return _CALIBRATED_WAVELENGTHS * self.scans.wavelength_m if moves else 0.0
 
     def _learn(self, field: FieldWeights, late: bool) -> None:
-        """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
-        settings = self.settings
+        """Bring calibration and, once the scene stands, the weights of the samples up to date."""
         values = replace(field, support=self.support).image()
-        image = values[len(values) // 2].ravel()
         # Half a scene would draw the geometry away from where the sparse scenes have put it.
         what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
         if what:
-            self.known = calibration.improve(self.scans, self.grid.points, image, self.known, what)
-        if settings.occlusion > 0:
-            self.shadow = self._shade(values, self.scans)
-        # The calibration knows of neither aspect nor shadows.
-        whole = "static" in what and (len(values) > 1 or settings.occlusion > 0)
-        robust = settings.robust > 0 and late
-        if not whole and not robust:
-            return
-        rest = self.scans.samples - self._synthesized(values, True, self.shadow)
-        if whole:
-            self.known = replace(self.known, static=rest.mean(axis=0).astype(np.complex64))
-        if robust:
-            residual = np.abs(rest - self.known.static)
+            points = self.grid.points
+            self.known = calibration.improve(self.scans, points, values.ravel(), self.known, what)
+        if self.settings.robust > 0 and late:
+            residual = np.abs(self.scans.samples - self._seen(values, True) - self.known.static)
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
-            self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
+            self.confidence = np.minimum(1, self.settings.robust * sigma / np.maximum(residual, 1e-30))
 
     def _light(self, scans: BasebandScans) -> NDArray[np.float32] | None:
         """Spreading and beam (views, points); None if the settings have neither."""
@@ -360,42 +341,21 @@ class _Fit:
         positions = scans.aperture.positions
         return illumination(self.grid.points, positions, s.spreading, float(np.deg2rad(s.beam_width_deg)))
 
-    def _shade(self, values: NDArray[np.complex64], scans: BasebandScans) -> NDArray[np.float32] | None:
-        """What reaches every point of the field's channels and comes back, (views, points), of its light and
-        its own shadows; None if the settings have neither."""
-        light, nepers = self._light(scans), self.settings.occlusion
-        if nepers == 0:
-            return light
-        power = (np.abs(values) ** 2).sum(axis=0)
-        positions = self.known.aperture(scans.aperture).positions
-        shade = transmission(power, self.grid, positions, nepers, finest_cell_m(scans.wavelength_m))
-        return shade if light is None else shade * light
-
-    def _seen(self, values: NDArray[np.complex64], fitted: bool) -> NDArray[np.complex64]:
-        """Synthesized scans of the field's channels in the views that were fitted, or in the others."""
-        return self._synthesized(values, fitted, self._shade(values, self._of(fitted)))
-
-    def _of(self, fitted: bool) -> BasebandScans:
-        return self.scans if fitted else select_views(self.all, self.unseen)
-
-    def _synthesized(
-        self, values: NDArray[np.complex64], fitted: bool, shade: NDArray[np.float32] | None
-    ) -> NDArray[np.complex64]:
-        """As `_seen`, under a shade that is known."""
-        aspect = self._view_of(self.known.aperture(self._of(fitted).aperture), fitted)
-        flat = values.reshape(len(values), -1)
-        bright = np.any(flat, axis=0)
-        operator, flat = self._operators()[0 if fitted else 1].among(bright), flat[:, bright]
-        if shade is not None:
-            rows = zip(aspect.astype(np.complex64), shade[:, bright], strict=True)
-            return operator.forward_by_view(seen @ flat * light for seen, light in rows)
-        parts = [operator.forward(v) * aspect[:, i, None] for i, v in enumerate(flat)]
-        return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
+    def _seen(self, values: Samples, fitted: bool) -> Samples:
+        """Synthesized scans of the field (pixels, pixels) in the views that were fitted, or in the others."""
+        bright = values.ravel() != 0
+        operator, flat = self._operators()[0 if fitted else 1].among(bright), values.ravel()[bright]
+        light = self.light if fitted else self._light(select_views(self.all, self.unseen))
+        if light is None:
+            seen = operator.forward(flat)
+        else:
+            seen = operator.forward_by_view(flat * row for row in light[:, bright])
+        return np.asarray(seen * self._factors(fitted)[:, None], dtype=np.complex64)
 
     def _result(self, field: FieldWeights | None, engine: str) -> AtsResult:
         """Of a field; None: a blank image."""
-        values = np.zeros((1, self.grid.pixels, self.grid.pixels), dtype=np.complex64)
-        values = values if field is None else field.image()
+        blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
+        values = blank if field is None else field.image()
         prediction = Prediction.none()
         if len(self.unseen):
             data = self.all.samples[self.unseen] - self.known.static
@@ -413,7 +373,7 @@ class _Fit:
             "loss": self.losses[-1] if self.losses else 0.0,
             "held_out_residual": None if np.isnan(held_out) else held_out,
         }
-        image = Image(values[len(values) // 2], self.grid, facts)
+        image = Image(values, self.grid, facts)
         seconds = time.perf_counter() - self.begun
         return AtsResult(image, tuple(self.losses), self.known, self.unseen, prediction, seconds, field)
 
@@ -460,21 +420,15 @@ def _check_continues(start: FieldWeights, new: FieldWeights) -> None:
         )
 
 
-def _weighted(settings: AtsSettings) -> bool:
-    """Whether a view sees some points more strongly than others."""
-    return settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
-
-
 def _foresee(scans: BasebandScans, grid: ImageGrid, settings: FitSettings) -> None:
     """Refuse sizes that will not fit before anything is allocated."""
     points = grid.pixels**2
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
-    channels = 2 * settings.aspect_harmonics + 1
-    per_point = 4 * (6 * WIDTH + 4 * LEVELS * FEATURES) + 8 * 6 * channels
-    shadows = 8 * scans.aperture.views * points if _weighted(settings) else 0
+    per_point = 4 * (6 * WIDTH + 4 * LEVELS * FEATURES) + 8 * 6
+    light = 8 * scans.aperture.views * points if settings.spreading or settings.beam_width_deg else 0
     require_memory(
-        points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
+        points * (views * per_pair + per_point + 8 * scans.aperture.views) + light,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",
         "Use fewer pixels (`imaging.pixels`), or fewer views a step.",
     )
@@ -484,12 +438,6 @@ def _held_out(views: int, share: float) -> NDArray[np.intp]:
     """Views that the fit does not see, spread over the turn."""
     count = max(1, round(views * share)) if share > 0 and views >= LEAST_HELD_OUT else 0
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
-
-
-def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.complex128]:
-    """(views, 2M + 1) exp(j m bearing of the antenna), m = -M..M."""
-    bearing = np.arctan2(positions[:, 1], positions[:, 0])
-    return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
 
 
 def sparsity_weight(scans: BasebandScans, peak: float, prior: FieldPrior | FitSettings) -> float:

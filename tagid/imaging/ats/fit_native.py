@@ -109,7 +109,7 @@ class NativeEngine:
         return outputs
 
     def _backward(self, grid: GridArrays, layers: list[Array], slope: Array) -> Array:
-        """Gradient by all parameters from that by the network's output (P, 2C)."""
+        """Gradient by all parameters from that by the network's output (P, 2)."""
         features, hidden, _ = layers
         weight, last_weight = self._state[-4:-2]
         by_weight, by_last_weight, by_bias, by_last_bias = self._by_layer
@@ -128,19 +128,15 @@ class NativeEngine:
 
 
 def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -> tuple[float, Array]:
-    """a sum c |A sigma - y|^2 and its gradient by sigma (P, 2C)."""
-    channels = sigma.shape[1] // 2
-    values = np.empty((channels, len(sigma)), dtype=np.complex64)
-    values.real, values.imag = sigma[:, :channels].T, sigma[:, channels:].T
+    """a sum c |A sigma - y|^2 and its gradient by sigma (P, 2)."""
+    values = np.asarray(sigma[:, 0] + 1j * sigma[:, 1], dtype=np.complex64)
     residual = views.rows_of(values) @ fine.complex_spread
     residual -= views.measured
     weighted = residual * (views.confidence * np.float32(scale))
     loss = float(np.vdot(residual, weighted).real)
     weighted *= 2
     back = views.points_of(np.asarray(weighted @ fine.complex_collect, dtype=np.complex64))
-    slope = np.empty_like(sigma)
-    slope[:, :channels], slope[:, channels:] = back.real.T, back.imag.T
-    return loss, slope
+    return loss, np.stack([back.real, back.imag], axis=1)
 
 
 MODEL = "ats_step"

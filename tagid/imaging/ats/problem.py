@@ -22,6 +22,7 @@ from tagid.imaging.operator import ForwardOperator, interpolation_gain, reach_of
 from tagid.imaging.restore import beam_sigma_m, blurred
 from tagid.imaging.sparse import SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans
+from tagid.types import Samples
 
 Array = NDArray[np.float32]
 
@@ -54,21 +55,19 @@ class FieldShape:
         cells: cells along a side of the imaged square, one number a level, coarse to fine.
         features: features of a vertex.
         width: units of the hidden layer.
-        channels: complex values of a point: 1, or 2M + 1 harmonics of the aspect angle.
     """
 
     cells: tuple[int, ...]
     features: int
     width: int
-    channels: int = 1
 
     @classmethod
-    def of(cls, grid: ImageGrid, wavelength_m: float, channels: int) -> FieldShape:
+    def of(cls, grid: ImageGrid, wavelength_m: float) -> FieldShape:
         """Sizes for a grid: the finest cell follows the wavelength, or is a pixel where that is larger."""
         finest = min(grid.pixels, max(COARSEST, round(grid.extent / finest_cell_m(wavelength_m))))
         series = np.geomspace(min(COARSEST, finest), finest, LEVELS)
         cells = tuple(int(n) for n in np.floor(series + 1e-9))
-        return cls(cells, FEATURES, WIDTH, channels)
+        return cls(cells, FEATURES, WIDTH)
 
 
 @dataclass(eq=False)
@@ -92,7 +91,7 @@ class FieldWeights:
     support: NDArray[np.bool_] | None = None
 
     def image(self) -> NDArray[np.complex64]:
-        """Reflectivity of the pixels, (channels, pixels, pixels) complex64; zero outside the support."""
+        """Reflectivity of the pixels, (pixels, pixels) complex64; zero outside the support."""
         wanted = None
         if self.support is not None and not self.support.all():
             wanted = np.flatnonzero(self.support)
@@ -106,12 +105,10 @@ class FieldWeights:
             layer = weight @ layer + bias
             if i < len(self.weights) - 1:
                 np.maximum(layer, 0, out=layer)
-        real, imaginary = np.split(layer * np.float32(self.scale), 2)
-        values = np.asarray(real + 1j * imaginary, dtype=np.complex64)
-        if wanted is not None:
-            values, some = np.zeros((len(values), self.pixels**2), dtype=np.complex64), values
-            values[:, wanted] = some
-        return values.reshape(-1, self.pixels, self.pixels)
+        real, imaginary = layer * np.float32(self.scale)
+        values = np.zeros(self.pixels**2, dtype=np.complex64)
+        values[slice(None) if wanted is None else wanted] = real + 1j * imaginary
+        return values.reshape(self.pixels, self.pixels)
 
     @property
     def arrays(self) -> list[Array]:
@@ -144,7 +141,7 @@ def draw_weights(
     tables = [uniform(rng, TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
     inputs = shape.features * len(shape.cells)
     weights, biases = [], []
-    for fan_in, fan_out in ((inputs, shape.width), (shape.width, 2 * shape.channels)):
+    for fan_in, fan_out in ((inputs, shape.width), (shape.width, 2)):
         bound = 1 / np.sqrt(fan_in)
         weights.append(uniform(rng, bound, fan_out, fan_in))
         biases.append(uniform(rng, bound, fan_out, 1))
@@ -162,7 +159,7 @@ def carry(
 ) -> None:
     """Make random parameters give a first image at the vertices of the finest level, in place."""
     hidden, output = weights
-    features, channels = len(tables[-1]), len(output) // 2
+    features = len(tables[-1])
     output *= np.float32(REST)
     if first is not None and (peak := float(np.abs(first).max())) > 0:
         tables[-1][0] += (first.real / peak).astype(np.float32)
@@ -170,7 +167,7 @@ def carry(
         for row, (part, sign) in enumerate(PARTS):
             hidden[row], biases[0][row], output[:, row] = 0, 0, 0
             hidden[row, hidden.shape[1] - features + part] = sign
-            output[channels // 2 + part * channels, row] = sign * peak
+            output[part, row] = sign * peak
     # What the biases alone give is an echo of the whole scene: it would be the first thing to be unlearned.
     biases[1][:] = -output @ np.maximum(biases[0], 0)
 
@@ -252,34 +249,31 @@ class ViewArrays:
         return [self.geometry.select(slice(view, view + 1)) for view in range(self.geometry.views)]
 
     @cached_property
-    def aspect(self) -> NDArray[np.complex64]:
-        """(views, channels) what a view sees of every channel."""
-        channels = self.real.shape[1] // 2
-        return np.asarray(self.real[:, :channels] + 1j * self.imaginary[:, :channels], dtype=np.complex64)
+    def factors(self) -> NDArray[np.complex64]:
+        """(views, 1) what the calibration multiplies scans with."""
+        return np.asarray(self.real[:, :1] + 1j * self.imaginary[:, :1], dtype=np.complex64)
 
     @cached_property
     def measured(self) -> NDArray[np.complex64]:
         """(views, bins) `samples` as complex values."""
         return np.asarray(self.samples[0] + 1j * self.samples[1], dtype=np.complex64)
 
-    def rows_of(self, values: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """(views, fine bins) of the points' channels (channels, points), as every view sees them."""
+    def rows_of(self, values: Samples) -> Samples:
+        """(views, fine bins) of the points (points,), as every view sees them."""
         if len(self.transmission) > 1:
-            seen = (self.aspect @ values) * self.transmission
-            return np.concatenate([v.scatter(row) for v, row in zip(self.one_by_one, seen, strict=True)])
-        if len(values) == 1:
-            return self.geometry.scatter(values[0]) * self.aspect
-        return self.geometry.scatter(values, self.aspect)
+            seen = values * self.transmission
+            rows = np.concatenate([v.scatter(row) for v, row in zip(self.one_by_one, seen, strict=True)])
+        else:
+            rows = self.geometry.scatter(values)
+        return np.asarray(rows * self.factors, dtype=np.complex64)
 
-    def points_of(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """(channels, points) of rows, the adjoint of `rows_of`."""
-        towards = self.aspect.conj()
+    def points_of(self, rows: Samples) -> Samples:
+        """(points,) of rows, the adjoint of `rows_of`."""
+        rows = rows * self.factors.conj()
         if len(self.transmission) > 1:
             back = np.stack([v.gather(row[None]) for v, row in zip(self.one_by_one, rows, strict=True)])
-            return np.asarray(towards.T @ (back * self.transmission), dtype=np.complex64)
-        if self.aspect.shape[1] == 1:
-            return self.geometry.gather(rows * towards)[None]
-        return self.geometry.gather(rows, towards)
+            return np.asarray((back * self.transmission).sum(axis=0), dtype=np.complex64)
+        return self.geometry.gather(rows)
 
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""
@@ -388,22 +382,21 @@ def view_arrays(
     points: NDArray[np.float64],
     fine: FineRange,
     confidence: NDArray[np.floating],
-    aspect: NDArray[np.complexfloating],
+    factors: NDArray[np.complexfloating],
     transmission: NDArray[np.floating] | None = None,
 ) -> ViewArrays:
     """Arrays of all views of pixel centres (points, 2), m.
 
-    `confidence` (views, bins) weighs the samples, `aspect` (views, channels) complex is what a view sees of
-    every channel (its gain included), `transmission` (views, points) what is left of each point's echo; None:
-    all.
+    `confidence` (views, bins) weighs the samples, `factors` (views,) is what the calibration multiplies scans
+    with, `transmission` (views, points) what is left of each point's echo; None: all.
     """
     samples = np.stack([scans.samples.real, scans.samples.imag]).astype(np.float32)
     return ViewArrays(
         scans.aperture,
         points,
         fine,
-        np.concatenate([aspect.real, -aspect.imag], axis=1).astype(np.float32),
-        np.concatenate([aspect.imag, aspect.real], axis=1).astype(np.float32),
+        np.stack([factors.real, -factors.imag], axis=1).astype(np.float32),
+        np.stack([factors.imag, factors.real], axis=1).astype(np.float32),
         samples,
         np.asarray(confidence, dtype=np.float32),
         np.ones((1, 1), np.float32) if transmission is None else np.asarray(transmission, dtype=np.float32),

@@ -50,72 +50,44 @@ class FieldPrior:
         l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
         noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
             noise is known), and never more than half of what gives a zero image.
-        aspect_harmonics, occlusion: see `AtsSettings`.
     """
 
     l1: float = 0.03
     noise_factor: float = 3.0
-    aspect_harmonics: int = 0
-    occlusion: float = 0.0
-
-
-_DENSE = FieldPrior(l1=0.003, noise_factor=1.0)
 
 
 class Prior(StrEnum):
     """What an image assumes of the scene, by the name that the image's settings give it.
 
-    Fields: the defaults, a stronger and a weaker sparsity prior, reflectivity that depends on the aspect, the
-    last two together, and the dense ones on a scene that hides what lies behind it (of attenuations of 0.1 to
-    3 nepers 1 leaves least of unseen views in most outlines, boxes and smooth bodies; seeds from 5000). No
-    fields: the sparse solution itself (`tagid.imaging.sparse`), which of few views of extended objects
-    predicts more, since the encoding ties neighbours together of which a dozen views tell nothing; its mean
-    with the dense field; and iterations of conjugate gradients, of which the first is backprojection of scans
-    that are correlated with the pulse, and 0 that of the scans as they are.
-
-    Attributes:
-        field: what its field assumes; None: it is no field.
-        iterations: of the linear solution; None: it is none.
+    The defaults, a stronger and a weaker sparsity prior of a field, and the prior of extended scenes, which
+    need no field (`tagid.imaging.coupled`).
     """
 
-    field: FieldPrior | None
-    iterations: int | None
-
-    def __new__(cls, name: str, field: FieldPrior | None = None, iterations: int | None = None) -> Prior:
-        """A name with its assumptions."""
-        made = str.__new__(cls, name)
-        made._value_, made.field, made.iterations = name, field, iterations
-        return made
-
-    DEFAULT = "default", FieldPrior()
-    SPARSE = "sparse", FieldPrior(l1=0.1)
-    DENSE = "dense", _DENSE
-    ASPECT = "aspect", FieldPrior(aspect_harmonics=2)
-    DENSE_ASPECT = "dense, aspect", replace(_DENSE, aspect_harmonics=2)
-    DENSE_SHADOWS = "dense, shadows", replace(_DENSE, occlusion=1.0)
-    DENSE_ASPECT_SHADOWS = "dense, aspect, shadows", replace(_DENSE, aspect_harmonics=2, occlusion=1.0)
-    PIXELS = "pixels"
-    MEAN = "dense and pixels"
-    LINEAR_0 = "linear 0", None, 0
-    LINEAR_1 = "linear 1", None, 1
-    LINEAR_2 = "linear 2", None, 2
-    LINEAR_4 = "linear 4", None, 4
-    LINEAR_8 = "linear 8", None, 8
-    LINEAR_16 = "linear 16", None, 16
+    DEFAULT = "default"
+    SPARSE = "sparse"
+    DENSE = "dense"
+    COUPLED = "coupled"
 
     @classmethod
     def of(cls, facts: dict[str, Any]) -> Prior:
-        """That of an image, by its settings; an image of which nothing was tried has the default."""
+        """That of an image, by its settings; an image that nothing is said of has the default."""
         return cls(facts.get("prior", cls.DEFAULT))
 
 
+FIELDS = {
+    Prior.DEFAULT: FieldPrior(),
+    Prior.SPARSE: FieldPrior(l1=0.1),
+    Prior.DENSE: FieldPrior(l1=0.003, noise_factor=1.0),
+}
+"""What the fields assume."""
+
 AUTO = "auto"
-PRIORS = (AUTO, *(prior.value for prior in (Prior.DEFAULT, Prior.SPARSE, Prior.DENSE)))
+PRIORS = (AUTO, *(prior.value for prior in FIELDS))
 """Choices of `AtsSettings.prior`."""
 
 _BOUNDS = {
-    "steps": (0, 10**6), "seed": (0, 2**32 - 1), "robust": (0, 1e6), "aspect_harmonics": (0, 64),
-    "occlusion": (0, 1e3), "spreading": (0, 16), "beam_width_deg": (0, 360),
+    "steps": (0, 10**6), "seed": (0, 2**32 - 1), "robust": (0, 1e6), "spreading": (0, 16),
+    "beam_width_deg": (0, 360),
 }  # fmt: skip
 """Least and greatest value of each setting: what no fit has a use for beyond, or cannot compute."""
 
@@ -132,14 +104,10 @@ class AtsSettings:
         steps: optimisation steps; 0: 100, and 150 with so few views (`LEAST_HELD_OUT`) that the scans leave
             the scene ill determined and the fit converges slowly (100 leave a quarter more of unseen views).
         prior: of `PRIORS`: how sparse the scene is, or "auto": as unseen views ask for it
-            (`tagid.imaging.ats.adapt`), unless aspect_harmonics or occlusion are given.
+            (`tagid.imaging.ats.adapt`).
         calibrate: what is learned together with the scene, of `CALIBRATIONS`: the axis distance, the
             harmonics of the rotation's wobble, a gain of every scan, a static component that no turn changes.
         robust: residuals beyond this many standard deviations are weighed down (Huber); 0: never.
-        aspect_harmonics: M; a point's reflectivity is a sum of exp(j m aspect), |m| <= M. 0: isotropic.
-        occlusion: what lies behind bright points is dimmed: attenuation by a cell of the encoding (0.096
-            wavelengths) that is as bright as the brightest, in nepers, two ways; 0: nothing hides behind
-            anything. Of weaker cells it is less, as their power.
         spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
             space, 0 if the radar or an earlier step has made up for it.
         beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
@@ -152,8 +120,6 @@ class AtsSettings:
     prior: str = AUTO
     calibrate: tuple[str, ...] = ()
     robust: float = 0.0
-    aspect_harmonics: int = 0
-    occlusion: float = 0.0
     spreading: float = 0.0
     beam_width_deg: float = 0.0
 
@@ -171,9 +137,10 @@ class AtsSettings:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low:g} to {high:g}.")
 
     @property
-    def adapts(self) -> bool:
-        """Whether other priors are tried where unseen views ask for them."""
-        return self.prior == AUTO and not self.aspect_harmonics and not self.occlusion
+    def is_plain(self) -> bool:
+        """Whether points alone explain the scans, at antenna positions that may be learned."""
+        beside = set(self.calibrate) - {"axis", "wobble"}
+        return not (beside or self.robust or self.spreading or self.beam_width_deg)
 
 
 @dataclass(frozen=True)
@@ -197,13 +164,8 @@ class FitSettings(AtsSettings):
         """Those of a fit as the settings ask for it."""
         if isinstance(settings, FitSettings):
             return settings
-        prior = (Prior.DEFAULT if settings.prior == AUTO else Prior(settings.prior)).field
-        assert prior is not None  # `PRIORS` have one
-        return cls(**vars(settings), l1=prior.l1, noise_factor=prior.noise_factor)
-
-    def with_prior(self, prior: Prior) -> FitSettings:
-        """The same with a prior; as they are for one that has no field."""
-        return self if prior.field is None else replace(self, **asdict(prior.field))
+        field = FIELDS[Prior.DEFAULT if settings.prior == AUTO else Prior(settings.prior)]
+        return cls(**vars(settings), **asdict(field))
 
     def for_views(self, views: int) -> FitSettings:
         """The same with a number of steps where they leave it open."""
@@ -217,7 +179,7 @@ class FitSettings(AtsSettings):
     def facts(self) -> dict[str, Any]:
         """All of them and what is fixed, as JSON values of an image's settings."""
         facts = {**asdict(self), **_FIXED, "preset": "field", "adapt": int(self.prior == AUTO)}
-        del facts["prior"]  # in an image that is the one chosen by trials
+        del facts["prior"]  # in an image that is the one that unseen views asked for
         facts["held_out_share"] = facts.pop("held_out")  # in an image that is how well it predicts
         return {**facts, "calibrate": list(self.calibrate)}
 
@@ -231,10 +193,12 @@ _FIXED: dict[str, float] = {
 value."""
 
 _SPARSITY = "Use prior=sparse (l1 0.1), prior=default (0.03) or prior=dense (0.003)."
+_EXTENDED = "Leave it away: prior=auto shows extended scenes."
 _NOW = {
     "l1": _SPARSITY, "noise_factor": _SPARSITY, "smoothness": "Use prior=dense.",
     "patience": "Give steps=N to end a fit earlier.", "finest_m": "Give more or fewer `imaging.pixels`.",
     "held_out": "Leave it away: it is 0.04.", "views_per_step": "Leave it away: it follows the scene.",
+    "aspect_harmonics": _EXTENDED, "occlusion": _EXTENDED,
 }  # fmt: skip
 """What to do in the place of a setting that is gone."""
 
