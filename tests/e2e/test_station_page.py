@@ -278,13 +278,14 @@ def test_a_station_is_set_up_on_its_page(
     theme(browser, "light")
     browser.get(f"{single.url}/#view-settings")
 
-    def typed(identity: str, words: str) -> None:
-        field = browser.find_element(By.ID, identity)
+    def typed(selector: str, *keys: str) -> None:
+        field = browser.find_element(By.CSS_SELECTOR, selector)
         wait(browser, lambda: field.is_displayed() and field.is_enabled())
-        field.clear()
-        field.send_keys(words, Keys.ENTER)
+        if keys[1:]:
+            field.clear()
+        field.send_keys(*keys)
 
-    typed("s-axis", "102")
+    typed("#s-axis", "102", Keys.ENTER)
     wait(browser, lambda: "Give metres" in text(browser, "problem"))
     assert not config_path().exists() and problems(browser) == []
     core = EmulatorCore(turning_scene(SceneSpec("helmet-120", rpm=6)), RadarConfig())
@@ -294,9 +295,9 @@ def test_a_station_is_set_up_on_its_page(
         browser.switch_to.active_element.send_keys(Keys.ENTER)
         wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#s-radars button"))
         assert radar.url in text(browser, "s-radars") and problems(browser) == []
-        browser.find_element(By.CSS_SELECTOR, "#s-radars button").send_keys(Keys.ENTER)
-        browser.find_element(By.ID, "s-rpm").send_keys("6")
-        typed("s-axis", "1,0")
+        typed("#s-radars button", Keys.ENTER)
+        typed("#s-rpm", "6")
+        typed("#s-axis", "1,0", Keys.ENTER)
         wait(browser, lambda: text(browser, "s-state").startswith("Stored"))
         stored = read_file(config_path())
         assert stored["radar.url"] == radar.url and stored["motion.axis_distance_m"] == 1.0
@@ -309,7 +310,7 @@ def test_a_station_is_set_up_on_its_page(
         wait(browser, lambda: text(browser, "profile-text").endswith("where the object is expected."))
         assert len(np.unique(browser.execute_script(PIXELS, "profile-canvas"))) > 10
         assert problems(browser) == []
-        browser.find_element(By.ID, "profile-button").send_keys(Keys.ENTER)
+        typed("#profile-button", Keys.ENTER)
         wait(browser, lambda: text(browser, "profile-button") == "Show it")
     # A file that is no capture is sent, refused with its reason, and not kept.
     wrong = tmp_path / "notes <b>.txt"

@@ -132,7 +132,7 @@ function showAnswer(scan) {
       if (!scan.final) kind += " so-far";
     } else {
       text = scan.phase === "connecting" ? "Connecting" : scan.phase === "turning" ? "Turning" : "Reading";
-      reason = scan.note || (scan.file ? `Stored capture ${scan.file}` : "");
+      reason = scan.note || (scan.file ? `Capture ${scan.file}` : "");
     }
     if (scan.running && scan.silent_s > 2) {
       [text, kind] = ["No signal", "failed"];
@@ -176,8 +176,7 @@ function showScan(scan) {
   showRadar(scan);
   $("turn").value = scan && scan.turn_share ? scan.turn_share : 0;
   if (scan) {
-    document.body.dataset.scanned = "yes";
-    const words = scan.file ? [`Stored capture ${scan.file}`] : [];
+    const words = scan.file ? [`Capture ${scan.file}`] : [];
     if (!scan.file || scan.scans) words.push(`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`);
     if (!scan.file || scan.scans) words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
     if (!scan.file) words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`);
