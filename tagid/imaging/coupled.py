@@ -19,8 +19,8 @@ from tagid.imaging.sparse import column_norm, sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
 from tagid.types import Floats, Samples
 
-ROUNDS, ITERATIONS = 2, 20
-"""Estimates, each of the last one's variance, and iterations of conjugate gradients for each."""
+ITERATIONS = (10, 20)
+"""Of conjugate gradients for the first estimate, and for the second, which has its variance from that."""
 SPREADS = (1.0, 3.0, 9.0)
 """Standard deviations of a pixel's surroundings, over the restoring beam's, each weighed by its inverse."""
 _MODEL_ERROR = 0.01
@@ -29,18 +29,19 @@ _FAINT = 1e-3
 """Pixels with less than this share of the greatest prior standard deviation are zero."""
 
 
-def coupled_recovery(scans: BasebandScans, grid: ImageGrid, operator: ForwardOperator | None = None) -> Image:
+def coupled_recovery(scans: BasebandScans, grid: ImageGrid) -> Image:
     """The posterior mean of sigma in y = A sigma + noise under the prior CN(0, diag(v)).
 
     At first v is the power of the sparse solution, then that of the posterior mean before, both spread by
     Gaussians of `SPREADS`; its scale makes the energy of the scans that the prior expects that of the
-    scans y, which are best without matched filter. The operator A is made unless it is given.
+    scans y, which are best without matched filter.
     """
-    operator = operator or ForwardOperator(scans, grid)
+    operator = ForwardOperator(scans, grid)
     values = sparse_recovery(scans, grid, operator=operator).values
-    for _ in range(ROUNDS if values.any() else 0):
+    for iterations in ITERATIONS if values.any() else ():
         variance = _spread(np.abs(values.astype(np.complex128)) ** 2, grid, beam_sigma_m(scans.wavenumber))
-        values = _posterior_mean(scans, operator, variance.ravel()).reshape(values.shape)
+        mean = _posterior_mean(scans, operator, variance.ravel(), iterations)
+        values = mean.reshape(values.shape)
     return Image(values, grid, {"method": "ats", "axis_distance_m": scans.aperture.axis_distance})
 
 
@@ -50,7 +51,9 @@ def _spread(power: Floats, grid: ImageGrid, beam_m: float) -> Floats:
     return np.asarray(np.sum([blurred(power, spread * width) / spread for spread in SPREADS], axis=0))
 
 
-def _posterior_mean(scans: BasebandScans, operator: ForwardOperator, variance: Floats) -> Samples:
+def _posterior_mean(
+    scans: BasebandScans, operator: ForwardOperator, variance: Floats, iterations: int
+) -> Samples:
     """(points,) under a prior variance (points,) of any scale."""
     shape = variance / variance.max()
     some = shape > _FAINT**2
@@ -59,16 +62,12 @@ def _posterior_mean(scans: BasebandScans, operator: ForwardOperator, variance: F
     noise = scans.noise_std**2 + _MODEL_ERROR * energy / scans.samples.size
     root = np.sqrt(shape[some]).astype(np.float32)
     values = np.zeros(operator.points, dtype=np.complex64)
-    values[some] = root * damped(operator.among(some), scans.samples, root, noise / scale)
+    values[some] = root * damped(operator.among(some), scans.samples, root, noise / scale, iterations)
     return values
 
 
 def damped(
-    operator: ForwardOperator,
-    samples: Samples,
-    root: NDArray[np.float32],
-    damping: float,
-    iterations: int = ITERATIONS,
+    operator: ForwardOperator, samples: Samples, root: NDArray[np.float32], damping: float, iterations: int
 ) -> Samples:
     """argmin_z ||A diag(root) z - y||^2 + damping ||z||^2 of scans y (views, bins), (points,), from zero.
 

@@ -12,7 +12,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import fit_adapted, settings_of
+from tagid.imaging.ats.adapt import ASKS, ENOUGH, fit_adapted, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FirstImages
 from tagid.imaging.ats.settings import AtsSettings, FitSettings, Prior
@@ -26,6 +26,7 @@ from tagid.operate.words import prior_words
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, scans_from, turn
+from tests.unit.test_imaging_coupled import arc
 
 GRID = ImageGrid(0.3, 40)
 QUICK = AtsSettings(steps=40)
@@ -106,6 +107,14 @@ def test_an_outline_seen_from_its_side_is_an_extended_scene() -> None:
     remaining = residual(select_views(scans, unseen), coupled_recovery(seen, GRID))
     assert remaining < 0.7 * fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
     assert remaining < 0.2 * plain_residual(scans, unseen)
+
+
+def test_of_a_scene_that_points_explain_nearly_the_better_prior_is_taken() -> None:
+    scans, between = arc(60), arc(180)
+    result, field = fit_adapted(scans, GRID, AtsSettings()), fit(scans, GRID, AtsSettings())
+    assert ENOUGH < field.held_out < ASKS
+    assert result.image.settings["prior"] == Prior.COUPLED
+    assert residual(between, result.image) < 0.5 * residual(between, field.image)
 
 
 def test_an_extended_scene_is_shown_about_the_axis_that_the_fit_has_learned() -> None:

@@ -47,7 +47,7 @@ def test_zero_scans_give_a_zero_image() -> None:
     assert not blank.values.any()
 
 
-@pytest.mark.parametrize("views", [18, 36])
+@pytest.mark.parametrize("views", [24, 36])
 def test_views_between_are_predicted_where_sparse_pixels_predict_half(views: int) -> None:
     scans, between = arc(views, noise=0.1), arc(180)
     remaining = residual(between, coupled_recovery(scans, GRID))

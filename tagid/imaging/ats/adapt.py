@@ -30,8 +30,10 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans, Image
 
-ASKS = 0.05
-"""Share of the energy of unseen views, over the noise, that few reflectors may leave over."""
+ENOUGH, ASKS = 0.01, 0.05
+"""Shares of the energy of unseen views, over the noise, that few reflectors may leave over: up to the first
+they are the scene, beyond the second it is an extended one, and in between what predicts more. Beyond, few
+views would tell the two apart by chance: one that is left out of a dozen is predicted by nothing."""
 
 LEAST_VIEWS = 8
 """Fewer views tell no prior from another."""
@@ -70,27 +72,37 @@ def fit_adapted(
     unseen = None if enough else left_out(views)
     for tried in dict.fromkeys((quick, thorough)):
         first = fit(scans, grid, tried, progress, unseen, images=images)
-        if not first.losses or _explains(scans, grid, first):
-            return first if enough else fit(scans, grid, tried, progress, images=images)
-    if not settings.is_plain:
-        return first if enough else fit(scans, grid, thorough, progress, images=images)
+        excess = _excess(scans, grid, first)
+        if excess <= ASKS:
+            break
     turned = scans.with_aperture(first.calibration.aperture(scans.aperture))
+    if not settings.is_plain or excess <= ENOUGH or (excess <= ASKS and not _is_coupled(turned, grid, first)):
+        return first if enough else fit(scans, grid, tried, progress, images=images)
     facts = {**first.image.settings, "prior": Prior.COUPLED.value, "default_residual": first.held_out}
     return replace(first, image=replace(coupled_recovery(turned, grid), settings=facts), field=None)
 
 
-def _noise_share(scans: BasebandScans) -> float:
-    energy = float((np.abs(scans.samples) ** 2).sum())
-    return scans.noise_std**2 * scans.samples.size / energy if energy > 0 else 1.0
-
-
-def _explains(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
-    """Whether a fit leaves little but noise of its unseen views, and less than backprojection of the scans as
-    they are, or correlated with the pulse."""
-    unseen = select_views(scans, first.unseen)
-    if first.held_out > _noise_share(unseen) + ASKS:
-        return False
-    seen = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), first.unseen))
+def _excess(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> float:
+    """Share of the energy of its unseen views that a fit leaves over the noise; infinite where it leaves more
+    than backprojection does of the scans as they are, or correlated with the pulse."""
+    if not first.losses:
+        return 0.0
+    unseen, seen = _apart(scans, first)
     correlated = ForwardOperator(seen, grid).adjoint(seen.samples).reshape(grid.pixels, grid.pixels)
     plain = backproject(seen, grid), Image(correlated, grid)
-    return all(first.held_out <= residual(unseen, image) for image in plain)
+    if any(first.held_out > residual(unseen, image) for image in plain):
+        return float("inf")
+    energy = float((np.abs(unseen.samples) ** 2).sum())
+    return first.held_out - (unseen.noise_std**2 * unseen.samples.size / energy if energy > 0 else 1.0)
+
+
+def _is_coupled(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
+    """Whether an extended scene predicts more of the views that a fit has not seen."""
+    unseen, seen = _apart(scans, first)
+    return residual(unseen, coupled_recovery(seen, grid)) < first.held_out
+
+
+def _apart(scans: BasebandScans, first: AtsResult) -> tuple[BasebandScans, BasebandScans]:
+    """The scans of the views that a fit has not seen, and of the others."""
+    seen = np.setdiff1d(np.arange(scans.aperture.views), first.unseen)
+    return select_views(scans, first.unseen), select_views(scans, seen)
