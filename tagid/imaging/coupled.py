@@ -28,8 +28,8 @@ _MODEL_ERROR = 0.01
 _FAINT = 1e-3
 """Pixels with less than this share of the greatest prior standard deviation are zero."""
 _ITERATIONS, _GAIN = 60, 1e-4
-"""Conjugate gradients end after so many iterations, or after one that gains less than this share of all: mostly
-after 10 to 25, after twice as many where bright points stand on a faint body."""
+"""Conjugate gradients end after so many iterations, or after one that gains less than this share of all:
+mostly after 10 to 25, after twice as many where bright points stand on a faint body."""
 
 
 def coupled_recovery(scans: BasebandScans, grid: ImageGrid) -> Image:
