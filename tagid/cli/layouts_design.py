@@ -161,26 +161,29 @@ def capacity(
 
     chosen, rules = target.object(), [target.rules(reflectors) for reflectors in (2, 3, 4)]
     table = Table("recording", *(f"{r.reflectors} reflectors" for r in rules), wraps=())
-    rows = []
-    for views, snr_db in ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0)):
-        conditions = Conditions(views, snr_db, rules[0].height_weight)
-        capacities = [of_object(chosen, rule, error_rate, conditions) for rule in rules]
-        cells = [
-            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
-            for c in capacities
-        ]
-        table.add_row(f"{views} views {snr_db:g} dB", *cells)
-        rows += [
-            {
-                "views": views,
-                "snr_db": snr_db,
-                "reflectors": c.reflectors,
-                "identities": c.identities,
-                "distance_m": c.distance_m if c.identities > 1 else None,
-                "error_rate": c.error_rate,
-            }
-            for c in capacities
-        ]
+    rows: list[dict[str, Any]] = []
+    recordings = ((36, 20.0), (36, 10.0), (36, 0.0), (12, 10.0))
+    with terminal.progress("capacity", total=len(recordings)) as advance:
+        for done, (views, snr_db) in enumerate(recordings):
+            advance(done, f"{views} views {snr_db:g} dB")
+            conditions = Conditions(views, snr_db, rules[0].height_weight)
+            capacities = [of_object(chosen, rule, error_rate, conditions) for rule in rules]
+            cells = [
+                f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "")
+                for c in capacities
+            ]
+            table.add_row(f"{views} views {snr_db:g} dB", *cells)
+            rows += [
+                {
+                    "views": views,
+                    "snr_db": snr_db,
+                    "reflectors": c.reflectors,
+                    "identities": c.identities,
+                    "distance_m": c.distance_m if c.identities > 1 else None,
+                    "error_rate": c.error_rate,
+                }
+                for c in capacities
+            ]
     radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in chosen.rows)
     line = (
         f"{chosen.label or chosen.name} (radius {radii}), {rules[0].slots} slots: identities, where "
