@@ -28,7 +28,7 @@ def learned(result: Reconstruction) -> dict[str, Any]:
     """Findings about the recording, for the JSON document."""
     settings = result.image.settings
     names = (
-        "axis_distance_m", "focus", "held_out", "prior", "default_residual", "pulse",
+        "axis_distance_m", "focus", "held_out", "prior", "pulse",
         "calibration", "warnings",
     )  # fmt: skip
     return {name: settings[name] for name in names if name in settings}

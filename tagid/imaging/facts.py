@@ -78,7 +78,6 @@ class ImageFacts(TypedDict, total=False):
     held_out: HeldOutFacts
     outside: OutsideFacts
     prior: str
-    default_residual: float
     calibration: CalibrationFacts
     warnings: list[str]
 

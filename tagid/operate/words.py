@@ -274,12 +274,8 @@ def held_out_words(settings: ImageFacts) -> list[str]:
     return lines
 
 
-def prior_words(settings: ImageFacts) -> list[str]:
-    """That ATS has taken the scene for an extended one, where it has."""
-    remaining = settings.get("default_residual")
-    if remaining is None:
-        return []
-    return [f"extended scene (few reflectors would leave {100 * remaining:.1f} % of held-out views)"]
+EXTENDED = "extended scene: a few reflectors do not explain the scans"
+"""Of an image that has the prior of those (`tagid.imaging.coupled`)."""
 
 
 def outside_words(settings: ImageFacts) -> list[str]:
@@ -336,7 +332,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     facts = facts_of(result.image.settings)
     return [
         *held_out_words(facts),
-        *prior_words(facts),
+        *([EXTENDED] if "prior" in facts else []),
         *outside_words(facts),
         *facts.get("warnings", ()),
         *focus_words(result.focus),
@@ -351,4 +347,4 @@ def method_shown(result: Reconstruction) -> str:
     settings = result.image.settings
     if settings.get("preset") == "paper":
         return "ATS, paper"
-    return "ATS, extended scene" if "default_residual" in settings else result.method.upper()
+    return "ATS, extended scene" if "prior" in settings else result.method.upper()

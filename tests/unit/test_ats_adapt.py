@@ -22,7 +22,7 @@ from tagid.imaging.heldout import left_out, residual
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
-from tagid.operate.words import prior_words
+from tagid.operate.words import EXTENDED, learned_words, method_shown
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, scans_from, turn
@@ -100,8 +100,6 @@ def test_an_outline_seen_from_its_side_is_an_extended_scene() -> None:
     image = fit_adapted(scans, GRID, AtsSettings()).image
     assert image.settings["prior"] == Prior.COUPLED
     np.testing.assert_array_equal(image.values, coupled_recovery(scans, GRID).values)
-    (words,) = prior_words(image.settings)
-    assert f"{100 * image.settings['default_residual']:.1f} %" in words
     unseen = left_out(60)
     seen = select_views(scans, np.setdiff1d(np.arange(60), unseen))
     remaining = residual(select_views(scans, unseen), coupled_recovery(seen, GRID))
@@ -206,3 +204,5 @@ def test_a_dense_outline_is_drawn_by_default_and_its_axis_stays() -> None:
     assert (distance[power > power.max() * 10**-2.5] < 0.038).any(axis=0).mean() > 0.8
     assert power[distance.min(axis=1) < 0.0759].sum() > 0.8 * power.sum()
     assert settings["held_out"]["residual"] < settings["held_out"]["backprojection"]
+    assert EXTENDED in learned_words(result)
+    assert method_shown(result) == "ATS, extended scene"

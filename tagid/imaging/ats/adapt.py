@@ -55,9 +55,8 @@ def fit_adapted(
     """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
     where they still ask for another prior and none was given, with `Prior.COUPLED`, which is no field.
 
-    The image's settings then say "prior", and with "default_residual" what the defaults left of unseen views.
-    The image keeps what the fit has learned of axis and wobble. Where other things are learned or weighed
-    beside the scene the field stays.
+    The image's settings then say "prior". The image keeps what the fit has learned of axis and wobble. Where
+    other things are learned or weighed beside the scene the field stays.
 
     Args and errors as `fit`.
     """
@@ -78,7 +77,7 @@ def fit_adapted(
     turned = scans.with_aperture(first.calibration.aperture(scans.aperture))
     if not settings.is_plain or excess <= ENOUGH or (excess <= ASKS and not _is_coupled(turned, grid, first)):
         return first if enough else fit(scans, grid, tried, progress, images=images)
-    facts = {**first.image.settings, "prior": Prior.COUPLED.value, "default_residual": first.held_out}
+    facts = {**first.image.settings, "prior": Prior.COUPLED.value}
     return replace(first, image=replace(coupled_recovery(turned, grid), settings=facts), field=None)
 
 
