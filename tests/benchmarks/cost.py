@@ -305,7 +305,8 @@ def priors(run: Run) -> Iterator[Table]:
         shares += [facts["held_out"]["residual"] for facts in (sparse, ats)]
         times = [*(f"{1e3 * t:.0f}" for t in took), *(f"{t / took[0]:.1f}" for t in took[1:])]
         prior = ats.get("prior", "default")
-        rows.append([f"{family}, {radar}", str(views), *times, prior, *(f"{100 * s:.1f}" for s in shares)])
+        percent = ("-" if share is None else f"{100 * share:.1f}" for share in shares)
+        rows.append([f"{family}, {radar}", str(views), *times, prior, *percent])
         run.say(str(rows[-1]))
     columns = (
         "scene | views | FISTA (ms) | one fit (ms) | ATS (ms) | fit / FISTA | ATS / FISTA | "
