@@ -54,6 +54,13 @@ def test_views_between_are_predicted_where_sparse_pixels_predict_half(views: int
     assert remaining < 0.5 * residual(between, sparse_recovery(scans, GRID))
 
 
+def test_noise_that_is_known_is_not_imaged() -> None:
+    scans, between = arc(36, noise=2.0), arc(180)
+    unaware = replace(scans, noise_std=0.0)
+    remaining = residual(between, coupled_recovery(scans, GRID))
+    assert remaining < 0.5 * residual(between, coupled_recovery(unaware, GRID))
+
+
 def test_a_point_keeps_its_amplitude_and_its_place() -> None:
     """Its echo is spread over a resolution cell, whose sum it is."""
     amplitude = 2.0 * np.exp(0.4j)
