@@ -1,4 +1,4 @@
-"""Extended scenes: a Gaussian prior whose variance neighbouring pixels share.
+"""Coupled pixels: a Gaussian prior whose variance neighbours share, for scenes that no few points explain.
 
 Within a resolution cell the scans do not say where an echo comes from, so the prior must not either: the
 variance of a pixel is the power of an earlier estimate, spread over its surroundings. Reweighting by the

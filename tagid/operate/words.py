@@ -274,8 +274,8 @@ def held_out_words(settings: ImageFacts) -> list[str]:
     return lines
 
 
-EXTENDED = "extended scene: a few reflectors do not explain the scans"
-"""Of an image that has the prior of those (`tagid.imaging.coupled`)."""
+COUPLED = "coupled pixels instead of the neural field, which leaves more than noise of held-out views"
+"""Of an image under that prior (`tagid.imaging.coupled`)."""
 
 
 def outside_words(settings: ImageFacts) -> list[str]:
@@ -332,7 +332,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     facts = facts_of(result.image.settings)
     return [
         *held_out_words(facts),
-        *([EXTENDED] if "prior" in facts else []),
+        *([COUPLED] if "prior" in facts else []),
         *outside_words(facts),
         *facts.get("warnings", ()),
         *focus_words(result.focus),
@@ -347,4 +347,4 @@ def method_shown(result: Reconstruction) -> str:
     settings = result.image.settings
     if settings.get("preset") == "paper":
         return "ATS, paper"
-    return "ATS, extended scene" if "prior" in settings else result.method.upper()
+    return "ATS, coupled pixels" if "prior" in settings else result.method.upper()

@@ -281,7 +281,7 @@ SCENE_SEED = 8000
 
 
 def priors(run: Run) -> Iterator[Table]:
-    """What extended scenes cost beside FISTA, and what they bring on unseen views; each scene once."""
+    """What coupled pixels cost beside FISTA, and what they bring on unseen views; each scene once."""
     run.seeds = str(SCENE_SEED)
     rows = []
     for (family, radar), views in product(SCENES, (12, 36, 120)) if not run.quick else [(SCENES[0], 36)]:

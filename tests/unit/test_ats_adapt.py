@@ -1,4 +1,4 @@
-"""The prior follows the data: extended scenes have their own, where unseen views ask for it."""
+"""The prior follows the data: coupled pixels take the field's place where unseen views ask for it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tagid.imaging.heldout import left_out, residual
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
-from tagid.operate.words import EXTENDED, learned_words, method_shown
+from tagid.operate.words import COUPLED, learned_words, method_shown
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, scans_from, turn
@@ -204,5 +204,5 @@ def test_a_dense_outline_is_drawn_by_default_and_its_axis_stays() -> None:
     assert (distance[power > power.max() * 10**-2.5] < 0.038).any(axis=0).mean() > 0.8
     assert power[distance.min(axis=1) < 0.0759].sum() > 0.8 * power.sum()
     assert settings["held_out"]["residual"] < settings["held_out"]["backprojection"]
-    assert EXTENDED in learned_words(result)
-    assert method_shown(result) == "ATS, extended scene"
+    assert COUPLED in learned_words(result)
+    assert method_shown(result) == "ATS, coupled pixels"

@@ -1,4 +1,4 @@
-"""A Gaussian prior whose variance neighbours share: extended scenes."""
+"""Coupled pixels: a Gaussian prior whose variance neighbours share."""
 
 from __future__ import annotations
 

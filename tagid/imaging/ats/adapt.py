@@ -1,4 +1,4 @@
-"""The prior of the fit: the defaults where they explain unseen views, else one of extended scenes.
+"""The prior of the fit: the defaults where they explain unseen views, else coupled pixels.
 
 The defaults are for a few reflectors that scatter to all sides. Where they leave much more than noise of
 unseen views, the image is the posterior mean under a Gaussian prior whose variance neighbours share
@@ -31,9 +31,9 @@ from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans, Image
 
 ENOUGH, ASKS = 0.01, 0.05
-"""Shares of the energy of unseen views, over the noise, that few reflectors may leave over: up to the first
-they are the scene, beyond the second it is an extended one, and in between what predicts more. Beyond, few
-views would tell the two apart by chance: one that is left out of a dozen is predicted by nothing."""
+"""Shares of the energy of unseen views, over the noise, that a field may leave over: up to the first it makes
+the image, beyond the second coupled pixels do, and in between what predicts more. Beyond, few views would
+tell the two apart by chance: one that is left out of a dozen is predicted by nothing."""
 
 LEAST_VIEWS = 8
 """Fewer views tell no prior from another."""
@@ -96,7 +96,7 @@ def _excess(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> float:
 
 
 def _is_coupled(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
-    """Whether an extended scene predicts more of the views that a fit has not seen."""
+    """Whether coupled pixels predict more of the views that a fit has not seen."""
     unseen, seen = _apart(scans, first)
     return residual(unseen, coupled_recovery(seen, grid)) < first.held_out
 

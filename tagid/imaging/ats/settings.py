@@ -59,8 +59,8 @@ class FieldPrior:
 class Prior(StrEnum):
     """What an image assumes of the scene, by the name that the image's settings give it.
 
-    The defaults, a stronger and a weaker sparsity prior of a field, and the prior of extended scenes, which
-    need no field (`tagid.imaging.coupled`).
+    The defaults, a stronger and a weaker sparsity prior of a field, and pixels without a field whose variance
+    is that of their surroundings (`tagid.imaging.coupled`).
     """
 
     DEFAULT = "default"
@@ -193,7 +193,7 @@ _FIXED: dict[str, float] = {
 value."""
 
 _SPARSITY = "Use prior=sparse (l1 0.1), prior=default (0.03) or prior=dense (0.003)."
-_EXTENDED = "Leave it away: prior=auto shows extended scenes."
+_EXTENDED = "Leave it away: prior=auto shows what it was for."
 _NOW = {
     "l1": _SPARSITY, "noise_factor": _SPARSITY, "smoothness": "Use prior=dense.",
     "patience": "Give steps=N to end a fit earlier.", "finest_m": "Give more or fewer `imaging.pixels`.",
