@@ -419,8 +419,7 @@ and a box at 24 GHz 22.1, 53.4 and 83.8 %, after 150 iterations 22.5, 52.5 and 8
 class FirstImages:
     """First images by the views that a fit does not see, each computed once.
 
-    Fits of the same scans on the same grid share them: priors that are compared on the same views begin
-    alike, and the sparse solution is up to half of a fit.
+    Fits of the same scans on the same grid share them: the sparse solution is up to half of a fit.
     """
 
     def __init__(self) -> None:
