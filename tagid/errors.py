@@ -7,6 +7,7 @@ states the cause and the remedy, so that no command shows a traceback.
 from __future__ import annotations
 
 import re
+from typing import Self
 
 EXIT_OK = 0
 EXIT_FAILED = 1
@@ -66,6 +67,10 @@ class TagidError(Exception):
         self.message = displayable(message)
         self.remedy = displayable(remedy)
         super().__init__(self.message)
+
+    def with_remedy(self, more: str) -> Self:
+        """The same error with more that the user should do; may be empty."""
+        return type(self)(self.message, f"{self.remedy} {more}".strip())
 
     @classmethod
     def unexpected(cls, error: BaseException) -> TagidError:

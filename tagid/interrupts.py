@@ -32,6 +32,17 @@ def stopped_by_user(stop: KeyboardInterrupt, remedy: str = "") -> CaptureInterru
     return CaptureInterrupted("stopped by the user", remedy)
 
 
+@contextmanager
+def naming(kept: Callable[[], str]) -> Iterator[None]:
+    """Within it errors and stop signals say what is kept, and how to go on with it; "" for nothing."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise stopped_by_user(stop, kept()) from stop
+    except TagidError as error:
+        raise error.with_remedy(kept()) from error
+
+
 class _Stop:
     """A graceful stop request; see `asked_to_stop`."""
 

@@ -128,13 +128,9 @@ def scan(
     if levels is not None:
         return scan_heights(terminal, place, plan, levels, Lift.of(place, yes))
     turns: list[Result] = []
-    try:
+    with interrupts.naming(lambda: _all_kept(turns)):
         for _ in range(repeat):
             turns.append(_scan(terminal, place, plan, view))
-    except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, _all_kept(turns)) from stop
-    except TagidError as error:
-        raise type(error)(error.message, f"{error.remedy} {_all_kept(turns)}".strip()) from error
     if repeat > 1 and not any(turn.errors for turn in turns):
         return _joint(terminal, place, turns)
     return next((turn for turn in turns if turn.errors), turns[-1])
@@ -189,8 +185,8 @@ def _scan(
     except TagidError as error:
         # The recording is stored; only the reading failed.
         answer = answer if answer.error else failed(error, str(path), uuid=capture.uuid)
-        remedy = f"{error.remedy} The capture is stored in {path}; inspect it with `tagid show`.".strip()
-        errors = (Problem(error.code, error.message, remedy),)
+        stored = f"The capture is stored in {path}; inspect it with `tagid show`."
+        errors = (Problem.of(error.with_remedy(stored)),)
         code = error.exit_code
     else:
         code = imaging.exit_code_of([answer.identification])

@@ -110,16 +110,12 @@ def scan_heights(
     Recordings that are complete stay on disk whatever happens later; the error then names them.
     """
     turns: list[Recorded] = []
-    try:
+    with interrupts.naming(lambda: _kept(turns)):
         plan = planned()
         for number, height_m in enumerate(heights, start=1):
             url = lift.raise_to(height_m, f"Height {number} of {len(heights)}", place.radar_url())
             turns.append(_record(terminal, place, replace(plan, antenna_height_m=height_m), url))
         return _joined(terminal, place, turns, heights)
-    except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, _kept(turns)) from stop
-    except TagidError as error:
-        raise type(error)(error.message, f"{error.remedy} {_kept(turns)}".strip()) from error
 
 
 def _record(terminal: Terminal, place: Workplace, plan: RecordingPlan, url: str) -> Recorded:

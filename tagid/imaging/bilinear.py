@@ -9,14 +9,9 @@ from numpy.typing import NDArray
 
 
 def bilinear(
-    values: NDArray[np.floating],
-    row: NDArray[np.floating],
-    column: NDArray[np.floating],
-    held: bool = False,
+    values: NDArray[np.floating], row: NDArray[np.floating], column: NDArray[np.floating]
 ) -> NDArray[Any]:
-    """(..., *row.shape) values (..., rows, columns) at fractional rows and columns, of one shape; outside 0,
-    or the value at the nearest edge if `held`.
-    """
+    """(..., *row.shape) values (..., rows, columns) at fractional rows and columns of a shape; 0 outside."""
     last = values.shape[-2] - 1, values.shape[-1] - 1
     y, x = np.clip(row, 0, last[0]), np.clip(column, 0, last[1])
     top = np.minimum(y.astype(np.intp), max(last[0] - 1, 0))
@@ -26,4 +21,4 @@ def bilinear(
     upper = values[..., top, left] * (1 - over) + values[..., top, right] * over
     lower = values[..., low, left] * (1 - over) + values[..., low, right] * over
     value = upper * (1 - down) + lower * down
-    return value if held else np.where((y == row) & (x == column), value, 0)
+    return np.where((y == row) & (x == column), value, 0)

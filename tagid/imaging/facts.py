@@ -78,8 +78,18 @@ class ImageFacts(TypedDict, total=False):
     held_out: HeldOutFacts
     outside: OutsideFacts
     prior: str
+    views_per_step: int
     calibration: CalibrationFacts
     warnings: list[str]
+
+
+COUPLED = "coupled"
+"""`prior` of an image by coupled pixels (`tagid.imaging.coupled`); those of a field do not say theirs."""
+
+
+def is_coupled(facts: ImageFacts) -> bool:
+    """Whether coupled pixels made an image, in the place of a field."""
+    return facts.get("prior") == COUPLED
 
 
 def facts_of(settings: dict[str, Any]) -> ImageFacts:

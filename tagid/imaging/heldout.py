@@ -122,6 +122,14 @@ def residual(scans: BasebandScans, image: Image) -> float:
     return Prediction.of(scans.samples.astype(np.complex128), seen.astype(np.complex128)).residual
 
 
+def backprojection_residual(scans: BasebandScans, seen: BasebandScans, grid: ImageGrid) -> float:
+    """`residual` on scans that were not seen of backprojection of those seen, as they are or correlated with
+    the pulse, whichever predicts better. Both are without matched filter.
+    """
+    correlated = ForwardOperator(seen, grid).adjoint(seen.samples).reshape(grid.pixels, grid.pixels)
+    return min(residual(scans, image) for image in (backproject(seen, grid), Image(correlated, grid)))
+
+
 def neighbours_residual(scans: BasebandScans, unseen: NDArray[np.intp]) -> float:
     """What the mean of the two neighbouring scans leaves of the views `unseen`, over their energy; nan
     without any.
@@ -168,9 +176,7 @@ def check(
     if make is None:
         best = plain = residual(test, backproject(select_views(scans, seen), grid))
     else:
-        part = select_views(unfiltered, seen)
-        correlated = ForwardOperator(part, grid).adjoint(part.samples).reshape(grid.pixels, grid.pixels)
-        plain = min(residual(test, image) for image in (backproject(part, grid), Image(correlated, grid)))
+        plain = backprojection_residual(test, select_views(unfiltered, seen), grid)
         best = (
             residual(test, make(select_views(scans, seen))) if predicted is None else predicted(scans, unseen)
         )

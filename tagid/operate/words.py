@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from tagid.counting import counted
-from tagid.imaging.facts import ImageFacts, facts_of
+from tagid.imaging.facts import ImageFacts, facts_of, is_coupled
 from tagid.metadata import Ending, RadarInfo, ResolvedMotion
 from tagid.operate.truth import Comparison
 from tagid.pipeline.identify import WHOLE_TURN
@@ -274,7 +274,7 @@ def held_out_words(settings: ImageFacts) -> list[str]:
     return lines
 
 
-COUPLED = "coupled pixels instead of the neural field, which leaves more than noise of held-out views"
+COUPLED_PIXELS = "coupled pixels instead of the neural field, which leaves more than noise of held-out views"
 """Of an image under that prior (`tagid.imaging.coupled`)."""
 
 
@@ -332,7 +332,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     facts = facts_of(result.image.settings)
     return [
         *held_out_words(facts),
-        *([COUPLED] if "prior" in facts else []),
+        *([COUPLED_PIXELS] if is_coupled(facts) else []),
         *outside_words(facts),
         *facts.get("warnings", ()),
         *focus_words(result.focus),
@@ -347,4 +347,4 @@ def method_shown(result: Reconstruction) -> str:
     settings = result.image.settings
     if settings.get("preset") == "paper":
         return "ATS, paper"
-    return "ATS, coupled pixels" if "prior" in settings else result.method.upper()
+    return "ATS, coupled pixels" if is_coupled(facts_of(settings)) else result.method.upper()

@@ -16,13 +16,13 @@ from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted, settings_of
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings, Prior
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.bandcheck import band_warning, closure_warning
 from tagid.imaging.copies import path_warning
 from tagid.imaging.coupled import coupled_recovery
-from tagid.imaging.facts import HeldOutFacts, OutsideFacts
+from tagid.imaging.facts import HeldOutFacts, OutsideFacts, facts_of, is_coupled
 from tagid.imaging.farfield import polar_format, range_doppler
 from tagid.imaging.heldout import check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
@@ -319,8 +319,8 @@ def _held_out(
         scans = scans if echoes is None else echoes.removed(scans)
         unfiltered = scans
     # The image was made with this seed, whatever the settings of ATS say.
-    ats = replace(settings_of(made.settings, settings.ats), seed=settings.seed)
-    coupled = Prior.of(made.settings) is Prior.COUPLED
+    facts = facts_of(made.settings)
+    ats, coupled = replace(settings_of(facts, settings.ats), seed=settings.seed), is_coupled(facts)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])

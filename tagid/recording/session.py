@@ -176,7 +176,7 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
     journal.unlink(missing_ok=True)
     if ended_by is not None:
         files_made = ", ".join(map(str, paths))
-        raise with_remedy(ended_by, f"The {views} scans that arrived are in {files_made}.") from ended_by
+        raise ended_by.with_remedy(f"The {views} scans that arrived are in {files_made}.") from ended_by
     return result
 
 
@@ -267,11 +267,6 @@ def where_kept(path: Path) -> str:
     return recover_remedy(journal) if journal.exists() else ""
 
 
-def with_remedy(error: TagidError, remedy: str) -> TagidError:
-    """The same error with an extended remedy."""
-    return type(error)(error.message, f"{error.remedy} {remedy}".strip())
-
-
 def with_recovery(error: TagidError, journal: Path) -> TagidError:
     """The same error with how to recover the journal, if there is one."""
-    return with_remedy(error, recover_remedy(journal)) if journal.exists() else error
+    return error.with_remedy(recover_remedy(journal)) if journal.exists() else error

@@ -18,8 +18,9 @@ from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats.adapt import settings_of
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.ats.settings import AtsSettings, Prior
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.coupled import coupled_recovery
+from tagid.imaging.facts import facts_of, is_coupled
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
@@ -192,8 +193,8 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return float("nan")
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     # With the prior and the views a step of the image of all views.
-    facts = problem.image(row, bare=True)[0].settings if method == "ats" else {}
-    coupled = Prior.of(facts) is Prior.COUPLED
+    facts = facts_of(problem.image(row, bare=True)[0].settings if method == "ats" else {})
+    coupled = is_coupled(facts)
     ats = settings_of(facts, AtsSettings(steps=steps))
 
     def make(some: BasebandScans) -> Image:

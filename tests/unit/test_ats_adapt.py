@@ -15,14 +15,15 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import ASKS, ENOUGH, fit_adapted, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FirstImages
-from tagid.imaging.ats.settings import AtsSettings, FitSettings, Prior
+from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.coupled import coupled_recovery
+from tagid.imaging.facts import facts_of
 from tagid.imaging.heldout import left_out, residual
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
-from tagid.operate.words import COUPLED, learned_words, method_shown
+from tagid.operate.words import COUPLED_PIXELS, learned_words, method_shown
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, scans_from, turn
@@ -98,7 +99,7 @@ def plain_residual(scans: BasebandScans, unseen: np.ndarray) -> float:
 def test_an_outline_seen_from_its_side_is_an_extended_scene() -> None:
     scans = rough(60)
     image = fit_adapted(scans, GRID, AtsSettings()).image
-    assert image.settings["prior"] == Prior.COUPLED
+    assert image.settings["prior"] == "coupled"
     np.testing.assert_array_equal(image.values, coupled_recovery(scans, GRID).values)
     unseen = left_out(60)
     seen = select_views(scans, np.setdiff1d(np.arange(60), unseen))
@@ -111,7 +112,7 @@ def test_of_a_scene_that_points_explain_nearly_the_better_prior_is_taken() -> No
     scans, between = arc(60), arc(180)
     result, field = fit_adapted(scans, GRID, AtsSettings()), fit(scans, GRID, AtsSettings())
     assert ENOUGH < field.held_out < ASKS
-    assert result.image.settings["prior"] == Prior.COUPLED
+    assert result.image.settings["prior"] == "coupled"
     assert residual(between, result.image) < 0.5 * residual(between, field.image)
 
 
@@ -136,7 +137,7 @@ def test_every_view_takes_part_often_enough_for_a_scene_whose_views_differ() -> 
     assert made["views_per_step"] == 24
     unseen = left_out(240)
     plain = plain_residual(scans, unseen)
-    settings = settings_of(made, AtsSettings())
+    settings = settings_of(facts_of(made), AtsSettings())
     assert settings.views_per_step == 24
     settled = fit(scans, GRID, settings, unseen=unseen).held_out
     few = fit(scans, GRID, replace(settings, views_per_step=12), unseen=unseen)
@@ -160,7 +161,7 @@ def test_few_views_of_an_extended_scene_show_more_than_sparse_pixels_do(
     """A view that is left out is predicted by nothing, but views in between show which image is right."""
     scans, between = scene(views), scene(180)
     image = fit_adapted(scans, GRID, AtsSettings()).image
-    assert image.settings["prior"] == Prior.COUPLED
+    assert image.settings["prior"] == "coupled"
     remaining = residual(between, image)
     assert remaining < share * residual(between, sparse_recovery(scans, GRID))
     assert remaining < share * residual(between, backproject(scans, GRID))
@@ -204,5 +205,5 @@ def test_a_dense_outline_is_drawn_by_default_and_its_axis_stays() -> None:
     assert (distance[power > power.max() * 10**-2.5] < 0.038).any(axis=0).mean() > 0.8
     assert power[distance.min(axis=1) < 0.0759].sum() > 0.8 * power.sum()
     assert settings["held_out"]["residual"] < settings["held_out"]["backprojection"]
-    assert COUPLED in learned_words(result)
+    assert COUPLED_PIXELS in learned_words(result)
     assert method_shown(result) == "ATS, coupled pixels"

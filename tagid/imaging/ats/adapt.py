@@ -8,7 +8,6 @@ unseen views, the image is the posterior mean under a Gaussian prior whose varia
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -23,12 +22,11 @@ from tagid.imaging.ats.settings import (
     Prior,
     StepProgress,
 )
-from tagid.imaging.backprojection import backproject
 from tagid.imaging.coupled import coupled_recovery
-from tagid.imaging.heldout import left_out, residual
-from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.facts import COUPLED, ImageFacts
+from tagid.imaging.heldout import backprojection_residual, left_out, residual
 from tagid.imaging.preprocess import select_views
-from tagid.imaging.types import BasebandScans, Image
+from tagid.imaging.types import BasebandScans
 
 ENOUGH, ASKS = 0.01, 0.05
 """Shares of the energy of unseen views, over the noise, that a field may leave over: up to the first it makes
@@ -39,7 +37,7 @@ LEAST_VIEWS = 8
 """Fewer views tell no prior from another."""
 
 
-def settings_of(facts: dict[str, Any], settings: AtsSettings) -> FitSettings:
+def settings_of(facts: ImageFacts, settings: AtsSettings) -> FitSettings:
     """Settings that fit as an image says (`Image.settings`) that it was fitted: the views of a step.
 
     All views are fitted, no other prior is tried and nothing is learned beside the scene.
@@ -53,10 +51,10 @@ def fit_adapted(
     scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: StepProgress | None = None
 ) -> AtsResult:
     """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
-    where they still ask for another prior and none was given, with `Prior.COUPLED`, which is no field.
+    where they still ask for another prior and none was given, with coupled pixels, which are no field.
 
-    The image's settings then say "prior". The image keeps what the fit has learned of axis and wobble. Where
-    other things are learned or weighed beside the scene the field stays.
+    The image's settings then say so (`facts.is_coupled`). It keeps what the fit has learned of axis and
+    wobble. Where other things are learned or weighed beside the scene the field stays.
 
     Args and errors as `fit`.
     """
@@ -77,7 +75,7 @@ def fit_adapted(
     turned = scans.with_aperture(first.calibration.aperture(scans.aperture))
     if not settings.is_plain or excess <= ENOUGH or (excess <= ASKS and not _is_coupled(turned, grid, first)):
         return first if enough else fit(scans, grid, tried, progress, images=images)
-    facts = {**first.image.settings, "prior": Prior.COUPLED.value}
+    facts = {**first.image.settings, "prior": COUPLED}
     return replace(first, image=replace(coupled_recovery(turned, grid), settings=facts), field=None)
 
 
@@ -87,9 +85,7 @@ def _excess(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> float:
     if not first.losses:
         return 0.0
     unseen, seen = _apart(scans, first)
-    correlated = ForwardOperator(seen, grid).adjoint(seen.samples).reshape(grid.pixels, grid.pixels)
-    plain = backproject(seen, grid), Image(correlated, grid)
-    if any(first.held_out > residual(unseen, image) for image in plain):
+    if first.held_out > backprojection_residual(unseen, seen, grid):
         return float("inf")
     energy = float((np.abs(unseen.samples) ** 2).sum())
     return first.held_out - (unseen.noise_std**2 * unseen.samples.size / energy if energy > 0 else 1.0)

@@ -406,7 +406,7 @@ def view_arrays(
 _PAIRS = 2 * 10**6
 """Pairs of view and vertex of the sparse solution: all for a P440 and 360 views of 0.5 m."""
 
-LARGE_PAIRS = 30 * 10**6
+_LARGE_PAIRS = 30 * 10**6
 """Pairs of view and pixel from which an image is large: 360 views of 0.5 m at 24 GHz, but not of 2 m of a
 P440."""
 
@@ -452,7 +452,7 @@ def first_image(scans: BasebandScans, grid: ImageGrid, cells: int, step: float) 
     most = max(1, _PAIRS // scans.aperture.views)
     chosen = np.zeros(len(vertices), dtype=bool)
     chosen[np.argsort(-np.abs(back), kind="stable")[:most]] = True
-    large = len(vertices) * scans.aperture.views > LARGE_PAIRS
+    large = len(vertices) * scans.aperture.views > _LARGE_PAIRS
     settings = SparseSettings(iterations=_ITERATIONS_OF_LARGE) if large else SparseSettings()
     sparse, _ = sparse_amplitudes(scans, vertices[chosen], settings, operator=operator.among(chosen))
     if not sparse.any():

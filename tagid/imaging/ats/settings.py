@@ -57,21 +57,11 @@ class FieldPrior:
 
 
 class Prior(StrEnum):
-    """What an image assumes of the scene, by the name that the image's settings give it.
-
-    The defaults, a stronger and a weaker sparsity prior of a field, and pixels without a field whose variance
-    is that of their surroundings (`tagid.imaging.coupled`).
-    """
+    """What a field assumes of the scene: the defaults, and a stronger and a weaker sparsity prior."""
 
     DEFAULT = "default"
     SPARSE = "sparse"
     DENSE = "dense"
-    COUPLED = "coupled"
-
-    @classmethod
-    def of(cls, facts: dict[str, Any]) -> Prior:
-        """That of an image, by its settings; an image that nothing is said of has the default."""
-        return cls(facts.get("prior", cls.DEFAULT))
 
 
 FIELDS = {
@@ -79,7 +69,7 @@ FIELDS = {
     Prior.SPARSE: FieldPrior(l1=0.1),
     Prior.DENSE: FieldPrior(l1=0.003, noise_factor=1.0),
 }
-"""What the fields assume."""
+"""How sparse each is."""
 
 AUTO = "auto"
 PRIORS = (AUTO, *(prior.value for prior in FIELDS))
@@ -179,7 +169,7 @@ class FitSettings(AtsSettings):
     def facts(self) -> dict[str, Any]:
         """All of them and what is fixed, as JSON values of an image's settings."""
         facts = {**asdict(self), **_FIXED, "preset": "field", "adapt": int(self.prior == AUTO)}
-        del facts["prior"]  # in an image that is the one that unseen views asked for
+        del facts["prior"]  # an image says it where it is no field's
         facts["held_out_share"] = facts.pop("held_out")  # in an image that is how well it predicts
         return {**facts, "calibrate": list(self.calibrate)}
 
@@ -193,12 +183,12 @@ _FIXED: dict[str, float] = {
 value."""
 
 _SPARSITY = "Use prior=sparse (l1 0.1), prior=default (0.03) or prior=dense (0.003)."
-_EXTENDED = "Leave it away: prior=auto shows what it was for."
+_AUTOMATIC = "Leave it away: prior=auto shows what it was for."
 _NOW = {
     "l1": _SPARSITY, "noise_factor": _SPARSITY, "smoothness": "Use prior=dense.",
     "patience": "Give steps=N to end a fit earlier.", "finest_m": "Give more or fewer `imaging.pixels`.",
     "held_out": "Leave it away: it is 0.04.", "views_per_step": "Leave it away: it follows the scene.",
-    "aspect_harmonics": _EXTENDED, "occlusion": _EXTENDED,
+    "aspect_harmonics": _AUTOMATIC, "occlusion": _AUTOMATIC,
 }  # fmt: skip
 """What to do in the place of a setting that is gone."""
 
