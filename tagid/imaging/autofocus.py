@@ -55,6 +55,10 @@ _RIVAL_WAVELENGTHS = 0.25
 """Distances farther than this from the best one have to be refuted."""
 _ENERGY_STEP_WAVELENGTHS = 0.1
 BEYOND_SEARCH = "the best distance is at or beyond the edge of the search"
+FAR_WAVELENGTHS = 1.7
+"""Half width of the search for a distance that is given wrong: 129 mm for a P440, as much as an antenna that
+stands 0.5 m higher than given makes at 1 m."""
+_FAR_STEP_WAVELENGTHS = 0.2
 _BEYOND = 1.4
 """The energy is compared so much farther than the search: what is explained the better the nearer the axis is
 put must show it."""
@@ -197,6 +201,45 @@ def focus_axis_distance(
     return scans.with_aperture(scans.aperture.with_axis_distance(distance + focus.offset_m)), focus
 
 
+def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
+    """The axis distance, m, that the scans of a whole turn fit if the given one is wrong by up to
+    `FAR_WAVELENGTHS`; None where they do not show that it is.
+
+    Points must explain the scans better there than at the given distance, and the sectors of the turn agree
+    on that. Any round body is explained better by a nearer axis. Such a one needs a second spot, and has to
+    be better than all others, too.
+
+    Args:
+        scans: without matched filter, with as much range beyond the grid.
+        grid: the square of interest.
+    """
+    given, lam = scans.aperture.axis_distance, scans.wavelength_m
+    reach = FAR_WAVELENGTHS * lam
+    if (
+        scans.aperture.angles is None
+        or given is None
+        or given <= reach
+        or not _is_turn(scans.aperture.angles)
+    ):
+        return None
+    few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
+    steps = round(FAR_WAVELENGTHS / _FAR_STEP_WAVELENGTHS)
+    offsets = np.linspace(-reach, reach, 2 * steps + 1)
+    points = PointSearch(few, grid)
+    tried = [points.explain(few.aperture.with_axis_distance(given + offset)) for offset in offsets]
+    residuals = np.array([explained.left for explained in tried])
+    best = int(np.argmin(residuals.sum(axis=1)))
+    off, near = offsets[best], np.abs(offsets) <= 1.01 * _RIVAL_WAVELENGTHS * lam
+    if near[best] or residuals.shape[1] < 3:
+        return None
+    needed = needed_evidence(residuals.shape[1])
+    shown = _least_t(residuals[near] - residuals[best]) >= needed
+    if off < 0:
+        shown = tried[best].second >= LEAST_SECOND
+        shown = shown and _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam) >= needed
+    return given + _lowest(offsets, residuals.sum(axis=1)) if shown else None
+
+
 def _is_turn(angles: Floats) -> bool:
     """Whether the directions of view (views,), rad, leave no gap."""
     directions = np.unique(np.round(angles % (2 * np.pi), 6))
@@ -258,7 +301,11 @@ def _t_value(offsets: Floats, residuals: Floats, best: int, rival_m: float) -> f
     rivals = np.flatnonzero(np.abs(offsets - offsets[best]) >= rival_m * 0.999)
     if residuals.shape[1] < 3 or not len(rivals):
         return 0.0
-    worse = residuals[rivals] - residuals[best]
+    return _least_t(residuals[rivals] - residuals[best])
+
+
+def _least_t(worse: Floats) -> float:
+    """Least t of differences (rivals, groups)."""
     spread = worse.std(axis=1, ddof=1) / np.sqrt(worse.shape[1])
     return float((worse.mean(axis=1) / np.maximum(spread, 1e-12)).min())
 

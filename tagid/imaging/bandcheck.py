@@ -2,8 +2,7 @@
 
 A wrong centre frequency or wave speed gives an image of the right size with everything in it out of focus,
 and no error anywhere; magnitudes, and samples in baseband or with the opposite sign of phase, show no echo at
-all. The spectrum of the scans tells. Angles of a part of a turn, or of more than one, that are given as a
-whole turn leave a gap where its last scan does not continue in its first, and so does an object that moved.
+all. The spectrum of the scans tells.
 """
 
 from __future__ import annotations
@@ -17,8 +16,6 @@ from tagid.capture import Capture
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import MIN_BINS, assumed_pulse
 from tagid.imaging.rangefilter import band_of, hertz, normalised
-from tagid.imaging.types import BasebandScans
-from tagid.types import Floats
 
 LEAST_INSIDE = 0.5
 """Share of the energy over the noise that must lie in the assumed band, widened by a fifth on both sides."""
@@ -47,14 +44,6 @@ _MOST_VIEWS = 64
 _CLEAR, _CLEAR_ONE = 0.25, 5.0
 """Energy over the noise floor, in units of the floor's, from which on the spectrum is that of echoes: of many
 views, and times the views less one. White noise of 1, 2, 4, 8, 36 views has up to 2.9, 1.8, 0.5, 0.3, 0.1."""
-
-_LEAST_VIEWS = 24
-_LEAST_ALIKE = 0.6
-"""Median correlation of neighbouring scans from which on they tell whether a turn closes."""
-_APART = 0.1
-"""How much less alike than all neighbours the ends of a turn are that does not close."""
-_WHOLE = 0.5
-"""Steps of the angle by which a whole turn may miss or exceed 360 degrees."""
 
 
 @dataclass(frozen=True)
@@ -167,31 +156,3 @@ def _holding(power: NDArray[np.float64]) -> tuple[int, int]:
         if last - 1 - first < best[1] - best[0]:
             best = (first, last - 1)
     return best
-
-
-def closure_warning(scans: BasebandScans) -> str | None:
-    """A warning where the ends of a whole turn are no neighbours, of scans without matched filter in the
-    order of their angles; else None.
-    """
-    if scans.aperture.angles is None or scans.aperture.views < _LEAST_VIEWS:
-        return None
-    angles = np.unwrap(scans.aperture.angles)
-    step = float(np.median(np.abs(np.diff(angles))))
-    if abs(float(np.ptp(angles)) + step - 2 * np.pi) > _WHOLE * step:
-        return None
-    *between, ends = _alike(scans)
-    if np.median(between) < _LEAST_ALIKE or ends >= min(between) - _APART:
-        return None
-    return (
-        f"the turn does not close: its last scan and its first are less alike ({ends:.2f}) than any "
-        f"neighbours ({min(between):.2f} to {max(between):.2f}). Did the object make one turn, and keep its "
-        "place? If it made half of one, store half of angles_rad, or give half the speed (`motion.url`)"
-    )
-
-
-def _alike(scans: BasebandScans) -> Floats:
-    """(views,) correlation of every scan with the next, the first following the last."""
-    one, other = scans.samples, np.roll(scans.samples, -1, axis=0)
-    product = (one.conj() * other).real.sum(axis=1, dtype=np.float64)
-    energy = (np.abs(one) ** 2).sum(axis=1, dtype=np.float64)
-    return np.asarray(product / np.sqrt(np.maximum(energy * np.roll(energy, -1), 1e-300)))

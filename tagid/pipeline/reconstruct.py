@@ -17,13 +17,14 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import fit_adapted, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
-from tagid.imaging.autofocus import AxisFocus
+from tagid.imaging.autofocus import FAR_WAVELENGTHS, AxisFocus
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.bandcheck import band_warning, closure_warning
+from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.copies import path_warning
 from tagid.imaging.coupled import coupled_recovery
 from tagid.imaging.facts import HeldOutFacts, OutsideFacts, facts_of, is_coupled
 from tagid.imaging.farfield import polar_format, range_doppler
+from tagid.imaging.geometrycheck import geometry_warnings
 from tagid.imaging.heldout import check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
@@ -163,7 +164,8 @@ def reconstruct(
     focus, scans = prepared.focus(), prepared.focused(scans)
     unfiltered, sparse = _unfiltered(prepared, scans, method), METHODS[method].sparse
     outside: Outside | None = None
-    warnings = [closure_warning(unfiltered)]
+    with watch.stage("focus"):
+        warnings = _geometry_warnings(prepared, grid, focus)
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
             remark = remarked(progress, "echoes outside the image")
@@ -188,6 +190,16 @@ def reconstruct(
     return Reconstruction(
         image, method, focus, scans.aperture.views, seconds, region, prepared.pulse_estimate
     )
+
+
+def _geometry_warnings(prepared: PreparedCapture, grid: ImageGrid, focus: AxisFocus | None) -> list[str]:
+    """What seems to be wrong with angles, wavelength, and the axis distance where no better one is used."""
+    if prepared.given.angles_rad is None:
+        return []
+    plain = prepared.settings.preprocessing(matched_filter=False)
+    wide = replace(plain, margin_m=FAR_WAVELENGTHS * prepared.given.wavelength_m)
+    axis = focus is not None and not focus.reliable
+    return geometry_warnings(prepared.focused(prepared.scans(wide)), grid, axis=axis)
 
 
 def _placed(
@@ -245,7 +257,7 @@ def _facts(
     region: Region | None,
     outside: OutsideFacts | None,
     predicted: HeldOutFacts | None,
-    warnings: list[str | None],
+    warnings: list[str],
 ) -> dict[str, Any]:
     """What the image's settings say of its data, as JSON values; `warnings` are those known already."""
     facts: dict[str, Any] = {

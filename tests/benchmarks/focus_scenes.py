@@ -270,20 +270,28 @@ def full_wave_scene(name: str, seed: int) -> FocusScene:
     return FocusScene(given, distance, P440.wavelength_m, 0.5)
 
 
-def draw_scene(family: str, radar: Radar, seed: int, views: int | None = None) -> FocusScene:
+def draw_scene(
+    family: str,
+    radar: Radar,
+    seed: int,
+    views: int | None = None,
+    turns: float = 1.0,
+    higher_m: float = 0.0,
+) -> FocusScene:
     """A scene of a family, with noise, a slightly uneven turn and an antenna that may stand above the
-    object; the number of views is drawn, too, if None."""
+    object; the number of views is drawn, too, if None. Angles given are those of one turn, whatever turns
+    the object made; the antenna stands higher than given by `higher_m`."""
     rng = np.random.default_rng([seed, 3, list(FAMILIES).index(family), RADARS.index(radar)])
     lam = radar.wavelength_m
     body = FAMILIES[family](rng, lam)
     drawn = int(rng.choice([72, 120, 360])) if radar is P440 else int(rng.choice([180, 360]))
     views = views or drawn
     angles = np.arange(views) * 2 * np.pi / views
-    true = angles + rng.uniform(0, 0.01) * np.sin(angles + rng.uniform(0, 6.28))
+    true = turns * angles + rng.uniform(0, 0.01) * np.sin(angles + rng.uniform(0, 6.28))
     height = float(rng.choice([0.0, 0.0, 0.05])) * radar.axis_distance_m
     reach = float(np.hypot(body.points[:, 0], body.points[:, 1]).max())
     pulse = nominal_pulse(radar.center_frequency_hz, radar.bandwidth_hz)
-    z, start = record(body, radar, true, height, reach + 4 * lam, pulse)
+    z, start = record(body, radar, true, height + higher_m, reach + 4 * lam + higher_m / 4, pulse)
     peak = float(np.abs(z).max())
     snr_db = float(rng.uniform(10, 30))
     samples = z.real + peak * 10 ** (-snr_db / 20) / np.sqrt(2) * rng.standard_normal(z.shape)
