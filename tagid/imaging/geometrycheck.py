@@ -26,13 +26,18 @@ _WHOLE = 1.05
 """Steps of the angle by which a whole turn may miss or exceed 360 degrees."""
 _HALF = (np.deg2rad(90), np.deg2rad(300))
 """Parts of a turn, rad, whose ends are no neighbours."""
-_REPEATED = 0.6
-"""Correlation of the halves of a turn, noise subtracted: 0.77 or more of two turns, up to 0.25 of one."""
+_REPEATED = 0.9
+"""Correlation of the halves of a turn, noise subtracted, of two turns. Objects that look much the same from
+opposite sides reach it, too: points then explain the turn better than two."""
+_WORSE = -0.75
+"""t value from which on they do not."""
 _DENSE = 0.6
 """Median difference of neighbouring scans, over their energy, up to which they tell whether a turn closes."""
 _WORST, _POOR, _USUAL = 0.02, 0.05, 0.1
 """Share of the neighbours that differ as much as the ends of a turn: at most the first where it does not
 close, the second where points fit half a turn better, too; more than the third where they are neighbours."""
+_APART = 0.2
+"""Difference of the ends of a turn, over their energy, that does not close, at least."""
 _CLEAR = 1.0
 """Energy of two scans over that of their noise from which on their difference counts."""
 _SURE = 2.75
@@ -73,10 +78,12 @@ class _Neighbours(NamedTuple):
 
     Attributes:
         median: difference of neighbours over their energy, noise subtracted.
+        ends: that of the last scan and the first.
         worse: share of them that differ as much as the last scan and the first.
     """
 
     median: float
+    ends: float
     worse: float
 
 
@@ -92,7 +99,7 @@ def _neighbours(scans: BasebandScans) -> _Neighbours | None:
     if not ends or not np.any(between):
         return None
     known = apart[:-1][between]
-    return _Neighbours(float(np.median(known)), float((known >= apart[-1]).mean()))
+    return _Neighbours(float(np.median(known)), float(apart[-1]), float((known >= apart[-1]).mean()))
 
 
 def _energy(samples: NDArray[np.complex128]) -> Floats:
@@ -107,13 +114,14 @@ def _turn_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
         return None
     near = _neighbours(scans)
     if abs(span + step - 2 * np.pi) <= _WHOLE * step:
-        if (alike := _halves_alike(scans, angles)) > _REPEATED:
+        alike = _halves_alike(scans, angles)
+        if alike > _REPEATED and _better(scans, grid, 2) > _WORSE:
             return (
                 "the scans of one half of the turn repeat those of the other (correlation "
                 f"{min(alike, 1):.2f}). If the object made two turns, store twice angles_rad, or give twice "
                 "the speed (`motion.url`); one that looks the same from opposite sides repeats, too"
             )
-        if near is None or near.worse > _POOR:
+        if near is None or near.worse > _POOR or near.ends < _APART:
             return None
         if not (near.worse <= _WORST and near.median < _DENSE) and _better(scans, grid, 0.5) < _SURE:
             return None
