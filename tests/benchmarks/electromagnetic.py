@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.fields.bessel import bessel
-from tagid.simulate.scattering import Returns
+from tagid.simulate.scattering import Body, Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 from tagid.types import Floats
 
@@ -140,6 +140,16 @@ class Plate:
         amplitude = -self.reflectivity / (2 * np.pi) * area * seen / (4 * _DIFFERENCE_M)
         points = np.concatenate([nodes + _DIFFERENCE_M * sight, nodes - _DIFFERENCE_M * sight], axis=1)
         return Returns(points, np.concatenate([amplitude, -amplitude], axis=1).astype(np.complex128))
+
+
+def field(body: Body, antennas: ArrayLike, frequency_hz: Floats) -> NDArray[np.complex128]:
+    """sum_i a_i exp(-2jk d_i) of the points of a body: (F,) for an antenna (3,), (F, A) for many (A, 3)."""
+    where = np.atleast_2d(antennas)
+    returns = body.returns(where)
+    distance = np.linalg.norm(returns.points - where[:, None], axis=2)
+    k = 2 * np.pi * np.asarray(frequency_hz) / SPEED_OF_LIGHT
+    seen = (np.exp(-2j * k[:, None, None] * distance) * returns.amplitudes).sum(axis=2)
+    return np.asarray(seen if np.ndim(antennas) == 2 else seen[:, 0])
 
 
 def _gauss(length: float, count: int) -> tuple[Floats, Floats]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -29,10 +26,8 @@ from tagid.simulate import (
 from tagid.simulate.response import Response, Ring
 from tagid.simulate.response_file import read_response, write_response
 from tagid.simulate.response_scene import ResponseBody, peak_echo, response_scene
+from tests.benchmarks.fullwave_scenes import FULLWAVE, OWN, full_wave
 
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
-FULLWAVE = SHARED / "fullwave"
-OWN = Path(__file__).resolve().parents[1] / "data" / "responses"
 PLACE = np.array([0.04, 0.025, 0.0])
 RINGS = tuple(Ring(d, p) for d in (0.8, 1.0, 1.2) for p in "VH")
 
@@ -50,10 +45,8 @@ def point_response(
     b = np.empty((len(f), len(rings), aspects), dtype=np.complex128)
     angle = 2 * np.pi * np.arange(aspects) / aspects
     for i, ring in enumerate(rings):
-        antenna = np.stack(
-            [ring.distance_m * np.cos(angle), ring.distance_m * np.sin(angle), 0 * angle + ring.height_m],
-            axis=1,
-        )
+        along = ring.distance_m * np.exp(1j * angle)
+        antenna = np.stack([along.real, along.imag, np.full(aspects, ring.height_m)], axis=1)
         d = np.linalg.norm(antenna - place, axis=1)
         size = sigma if ring.polarisation == "V" else 0.3 * sigma
         b[:, i] = size * np.exp(-2j * np.outer(k, d - ring.range_m)) * (ring.range_m / d) ** 2
@@ -99,15 +92,9 @@ def test_a_response_is_recorded_as_the_point_it_stands_for(direction: int) -> No
     The point is at PLACE in the object; its spreading refers to the antenna's distance from it.
     """
     acq = Acquisition(
-        views=24,
-        direction=direction,
-        axis_distance_m=1.1,
-        placement=Placement((0.01, -0.015), 0.7),
-        wobble=Wobble(0.01, 0.002),
-        axis_distance_error_m=0.01,
-        snr_db=40,
-        range_law=True,
-    )
+        views=24, direction=direction, axis_distance_m=1.1, placement=Placement((0.01, -0.015), 0.7),
+        wobble=Wobble(0.01, 0.002), axis_distance_error_m=0.01, snr_db=40, range_law=True,
+    )  # fmt: skip
     room = StaticReturns(np.array([0.6, 1.4]), np.array([2.0, -1.0]))
     points = Scene("point", (Points(PLACE[None], np.ones(1)),), room=room, reference_amplitude=1.0)
     expected, truth = simulate_capture(points, acq, seed=5)
@@ -161,16 +148,10 @@ def test_the_printed_snr_says_what_it_is_against() -> None:
     assert "of the object's 2 it is not known" in str(snr(far, first))
 
 
-def scenes_module() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("shared_scenes", FULLWAVE / "scenes.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def gaussian(centre_hz: float = 4.0e9, sigma_hz: float = 0.494e9) -> Pulse:
+def gaussian() -> Pulse:
+    """The pulse of the shared scenes."""
     t = np.arange(-1500, 1501) * 2e-12
-    return Pulse(np.exp(-2 * (np.pi * sigma_hz * t) ** 2) * np.cos(2 * np.pi * centre_hz * t), 2e-12)
+    return Pulse(np.exp(-2 * (np.pi * 0.494e9 * t) ** 2) * np.cos(2 * np.pi * 4.0e9 * t), 2e-12)
 
 
 @pytest.mark.skipif(not FULLWAVE.is_dir(), reason="the full-wave responses are not in the shared data folder")
@@ -181,16 +162,17 @@ def test_captures_of_the_shared_responses_agree_with_the_shared_scenes(name: str
     """Another program's capture of the same file, object off the axis and turned: same samples but for a
     scale."""
     centre, rotation, distance = (0.006, -0.011), 1.3, 1.07
-    scan, _ = scenes_module().make(
+    scan, _ = full_wave().make(
         name, np.random.default_rng(0), reference=name, views=20, distance=distance, centre=centre,
         rotation=rotation, pol=polarisation, snr_db=300, room=False,
     )  # fmt: skip
+    window = RangeWindow(scan["range_start_m"], scan["samples"].shape[1])
     acq = Acquisition(
         views=20,
         axis_distance_m=distance,
         placement=Placement(centre, rotation),
         pulse=gaussian(),
-        window=RangeWindow(scan["range_start_m"], scan["samples"].shape[1]),
+        window=window,
     )
     response = read_response(FULLWAVE / "responses" / f"{name}.npz")
     _, truth = simulate_capture(response_scene(response, acq, polarisation), acq)

@@ -6,7 +6,6 @@ Levels in dBsm are those of method-of-moments solutions (shared/fullwave/README.
 from __future__ import annotations
 
 import inspect
-import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -43,15 +42,15 @@ from tagid.simulate.beside import BesideRound
 from tagid.simulate.bodies import Carton, RoundBody, Shell, sheet
 from tagid.simulate.multipole import Layer, Multipoles
 from tagid.simulate.noise import draw_noise
-from tagid.simulate.objects import METAL, WATER, Variation, tagged_object
+from tagid.simulate.objects import METAL, Variation, tagged_object
 from tagid.simulate.response_file import read_response
 from tagid.simulate.scatterers import Mounted, Octahedron, Rod, unit_of
 from tagid.simulate.spec import SceneSpec, turning_scene
 from tagid.simulate.specification import parse_length
-from tests.benchmarks.electromagnetic import cylinder_series
+from tests.benchmarks.electromagnetic import cylinder_series, field
+from tests.benchmarks.provenance import SHARED
 
 DATA = Path(__file__).parents[1] / "data"
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 BAND_HZ = np.array([3.1e9, 4.0e9, 4.9e9])
 BODIES = ("can:35mm,handle,seam", "cup:38mm,handle,filled,oval=1mm", "helmet:98mm,seam", "box:120mm", "none")
 FIXED = RangeWindow.around(1.0)
@@ -60,14 +59,6 @@ FIXED = RangeWindow.around(1.0)
 def dbsm(length_m: np.ndarray) -> np.ndarray:
     """Radar cross-section 4 pi |b|^2, dB over 1 m^2."""
     return 10 * np.log10(4 * np.pi * np.abs(length_m) ** 2)
-
-
-def field(body: object, antenna: tuple[float, float, float], frequency_hz: np.ndarray) -> np.ndarray:
-    """sum_i a_i exp(-2jk d_i): what the points of a body send back at each frequency."""
-    position = np.array([antenna])
-    returns = body.returns(position)
-    distance = np.linalg.norm(returns.points - position[:, None], axis=2)[0]
-    return np.exp(-2j * np.outer(2 * np.pi * frequency_hz / SPEED_OF_LIGHT, distance)) @ returns.amplitudes[0]
 
 
 def clean(scene: Scene, views: int = 4, **acquisition: object) -> np.ndarray:
@@ -85,20 +76,15 @@ def scene_of(text: str, tagged: bool = True) -> Scene:
 
 
 @pytest.mark.parametrize("text", [*BODIES, "helmet-120", "untagged", "can", "box"])
-def test_everything_on_an_object_moves_with_it(text: str) -> None:
+def test_everything_on_an_object_moves_and_turns_with_it(text: str) -> None:
     """Shifted by +x, the object is seen from +x as from an antenna that much nearer, and from -x, half a turn
     later, as from one that much farther."""
     scene = replace(scene_of(text), room=None)
     moved = clean(scene, 2, placement=Placement((0.01, 0.0)))
     for view, distance_m in enumerate((0.99, 1.01)):
         np.testing.assert_allclose(moved[view], clean(scene, 2, axis_distance_m=distance_m)[view], atol=1e-9)
-
-
-@pytest.mark.parametrize("text", [*BODIES, "helmet-120", "can", "box"])
-def test_objects_turn_with_their_placement(text: str) -> None:
-    scene = replace(scene_of(text), room=None)
-    turned = clean(scene, 36, placement=Placement(rotation_rad=2 * np.pi * 5 / 36))
-    np.testing.assert_allclose(turned, np.roll(clean(scene, 36), -5, axis=0), atol=1e-9)
+    turned = clean(scene, 12, placement=Placement(rotation_rad=2 * np.pi * 5 / 12))
+    np.testing.assert_allclose(turned, np.roll(clean(scene, 12), -5, axis=0), atol=1e-9)
 
 
 @pytest.mark.parametrize(("size_mm", "levels"), [(20, (-45.1, -40.5, -36.8)), (40, (-26.9, -25.1, -25.9))])
@@ -125,12 +111,8 @@ def test_points_carry_the_response_over_the_band(body: RoundBody | Shell) -> Non
     frequency = np.linspace(2.4e9, 5.6e9, 81)
     far = 200.0
     got = field(body, (far, 0.0, 0.0), frequency) * np.exp(4j * np.pi * frequency / SPEED_OF_LIGHT * far)
-    zero = np.zeros(1)
-    expected = (
-        body.scattering_length(frequency, zero)[:, 0]
-        if isinstance(body, Shell)
-        else body.scattering_length(frequency)
-    )
+    towards = (np.zeros(1),) if isinstance(body, Shell) else ()
+    expected = body.scattering_length(frequency, *towards).ravel()
     assert np.abs(got - expected).max() < 0.01 * np.abs(expected).max()
 
 
@@ -138,16 +120,13 @@ def test_a_carton_echoes_as_a_solved_one() -> None:
     """105 by 140 mm, 120 mm high, of 5 mm cardboard, by the method of moments: size, phase and aspect."""
     solved = read_response(DATA / "cartons" / "carton140.npz")
     frequency = solved.frequency_hz
-    carton = Carton(0.145, 0.110, 0.120, 0.005, 1.5)
-    ring = solved.rings[0]
-    expected, result = [], []
-    for i in range(0, solved.aspects, 6):
-        towards = ring.distance_m * np.exp(2j * np.pi * i / solved.aspects)
-        echo = field(carton, (towards.real, towards.imag, ring.height_m), frequency)
-        turn = np.exp(4j * np.pi * frequency / SPEED_OF_LIGHT * ring.distance_m)
-        result.append(echo * turn)
-        expected.append(solved.scattering_length_m[:, 0, i])
-    error = np.linalg.norm(np.subtract(result, expected)) / np.linalg.norm(expected)
+    carton, ring = Carton(0.145, 0.110, 0.120, 0.005, 1.5), solved.rings[0]
+    towards = ring.distance_m * np.exp(2j * np.pi * np.arange(0, solved.aspects, 6) / solved.aspects)
+    antennas = np.stack([towards.real, towards.imag, np.full(len(towards), ring.height_m)], axis=1)
+    turn = np.exp(4j * np.pi * frequency / SPEED_OF_LIGHT * ring.distance_m)
+    echo = field(carton, antennas, frequency) * turn[:, None]
+    expected = solved.scattering_length_m[:, 0, ::6]
+    error = np.linalg.norm(echo - expected) / np.linalg.norm(expected)
     # Nothing is fitted: 0.3 dB of level, and half a percent of pattern.
     assert error**2 < 0.02
 
@@ -175,59 +154,45 @@ WAVENUMBER = np.linspace(40, 125, 9)
 AROUND = np.linspace(0, np.pi, 13)
 
 
-def test_multipoles_know_the_limits() -> None:
+def test_multipoles_of_metal_are_the_series_and_have_no_field_on_it() -> None:
     metal = Multipoles.of(WAVENUMBER, (Layer(0.033, METAL),))
     np.testing.assert_allclose(metal.backscatter(), cylinder_series(WAVENUMBER * 0.033), atol=1e-12)
     assert np.abs(metal.field(0.033, AROUND)).max() < 1e-9
-    for layers in ((Layer(0.036), Layer(0.04, 6.0)), (Layer(0.02, 3.0),)):
-        # Nothing is lost in a lossless body: the outgoing wave of each order keeps its size.
-        assert np.abs(1 + 2 * Multipoles.of(WAVENUMBER, layers).reflected) == pytest.approx(1.0)
-    filled = Multipoles.of(WAVENUMBER, (Layer(0.036, WATER), Layer(0.04, 6.0 - 0.1j)))
-    assert np.abs(1 + 2 * filled.reflected).max() < 1 + 1e-9
-    assert np.abs(1 + 2 * filled.reflected).min() < 0.9
 
 
-@pytest.mark.parametrize("radius_m", [0.02, 0.06])
-def test_air_is_no_body(radius_m: float) -> None:
+def test_in_a_body_of_air_is_the_plane_wave() -> None:
     air = Multipoles.of(WAVENUMBER, (Layer(0.03), Layer(0.04)))
-    plane = np.exp(1j * WAVENUMBER[:, None] * radius_m * np.cos(AROUND))
-    np.testing.assert_allclose(air.field(radius_m, AROUND), plane, atol=1e-9)
+    plane = np.exp(1j * WAVENUMBER[:, None] * 0.02 * np.cos(AROUND))
+    np.testing.assert_allclose(air.field(0.02, AROUND), plane, atol=1e-9)
 
 
-def test_the_field_passes_a_thin_wall_continuously() -> None:
-    wall = Multipoles.of(WAVENUMBER, (Layer(0.04), Layer(0.040001, 6.0)))
-    assert np.abs(wall.field(0.04, AROUND) - wall.field(0.040001, AROUND)).max() < 1e-3
-    with pytest.raises(DataError):
-        wall.field(0.0400005, AROUND)
+def on_can(what: object, place_m: complex) -> Mounted:
+    """Something beside a can of 35 mm radius."""
+    around = (BesideRound((Layer(0.035, METAL),), abs(place_m)),)
+    return Mounted(what, np.array([[place_m.real, place_m.imag, 0]]), np.ones(1, complex), around)
+
+
+def from_around(body: object, far_m: float, angles: np.ndarray) -> np.ndarray:
+    """What a body sends back at 4 GHz to antennas all round."""
+    antennas = far_m * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    return field(body, antennas, np.array([4e9]))[0]
 
 
 def test_double_bounce_turns_the_phase_and_the_body_shadows() -> None:
     """On a 35 mm can a tag at 45 mm looks like a point at 38 to 39 mm, 14 dB down at 90 degrees."""
     k = 2 * np.pi * 4e9 / SPEED_OF_LIGHT
     antenna_angles = np.deg2rad([*range(-50, 51, 5), 90, 180])
-    on_can = Mounted(
-        Octahedron(0.02),
-        np.array([[0.045, 0, 0]]),
-        np.ones(1, complex),
-        (BesideRound((Layer(0.035, METAL),), 0.045),),
-    )
-    far = 500.0
-    echo = np.array(
-        [
-            field(on_can, (far * np.cos(a), far * np.sin(a), 0.0), np.array([4e9]))[0] * np.exp(2j * k * far)
-            for a in antenna_angles
-        ]
-    )
+    tag, far = on_can(Octahedron(0.02), 0.045 + 0j), 500.0
+    echo = from_around(tag, far, antenna_angles) * np.exp(2j * k * far)
     phase = np.unwrap(np.angle(echo[:-2]))
     apparent = np.polyfit(np.cos(antenna_angles[:-2]), phase, 1)[0] / (2 * k)
     assert apparent == pytest.approx(0.0385, abs=0.002)
     bright = dbsm(echo[10])
     assert dbsm(echo[-2]) - bright == pytest.approx(-14, abs=3)
     assert dbsm(echo[-1]) - bright < -30
-    free = replace(on_can, bodies=(None,))
-    assert np.angle(field(free, (far, 0, 0), np.array([4e9]))[0] * np.exp(2j * k * far)) == pytest.approx(
-        np.angle(np.exp(2j * k * 0.045) * Octahedron(0.02).scattering_length(np.array([4e9]))[0]), abs=0.02
-    )
+    free = from_around(replace(tag, bodies=(None,)), far, np.zeros(1)) * np.exp(2j * k * (far - 0.045))
+    own = Octahedron(0.02).scattering_length(np.array([4e9]))
+    assert np.angle(free / own) == pytest.approx(0, abs=0.02)
 
 
 @pytest.mark.skipif(not (SHARED / "fullwave").is_dir(), reason="solved responses are not beside the checkout")
@@ -240,20 +205,13 @@ def test_a_tag_and_a_handle_on_a_can_are_what_the_solved_ones_are() -> None:
             return np.asarray(file["S"][at, 1], dtype=complex)
 
     angles = np.arange(72) * 2 * np.pi / 72
-    layers = (Layer(0.035, METAL),)
-    turned = np.deg2rad(250)
-    grip = np.array([[0.063 * np.cos(turned), 0.063 * np.sin(turned), 0.0]])
     models = {
-        "can35_one": Mounted(
-            Octahedron(0.02), np.array([[0.045, 0, 0]]), np.ones(1, complex), (BesideRound(layers, 0.045),)
-        ),
-        "can35_handle": Mounted(
-            Rod.metal_strip(0.01, 0.06), grip, np.ones(1, complex), (BesideRound(layers, 0.063),)
-        ),
+        "can35_one": on_can(Octahedron(0.02), 0.045 + 0j),
+        "can35_handle": on_can(Rod.metal_strip(0.01, 0.06), 0.063 * np.exp(1j * np.deg2rad(250))),
     }
     for name, model in models.items():
         truth = solved(name) - solved("can35")
-        made = np.array([field(model, (np.cos(a), np.sin(a), 0.0), np.array([4e9]))[0] for a in angles])
+        made = from_around(model, 1.0, angles)
         alike = np.abs(np.vdot(made, truth)) / np.linalg.norm(made) / np.linalg.norm(truth)
         assert alike > 0.9, name
         assert 20 * np.log10(np.linalg.norm(made) / np.linalg.norm(truth)) == pytest.approx(0, abs=2.5), name
@@ -263,7 +221,7 @@ def test_a_tag_on_a_helmet_is_what_the_solved_one_is() -> None:
     """One free amplitude per frequency: reflectors without the shell leave 18 % of the solved echo."""
     folder = DATA / "shells"
     tagged, shell = (read_response(folder / f"{name}.npz") for name in ("shell74_h120", "shell74"))
-    turn = 2 * np.pi * np.arange(72) / 72
+    turn = 2 * np.pi * np.arange(24) / 24
     antenna = shell.rings[0].distance_m * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     ring = np.deg2rad([25, 145, 265])
     positions = 0.112 * np.stack([np.cos(ring), np.sin(ring)], axis=1)
@@ -271,13 +229,9 @@ def test_a_tag_on_a_helmet_is_what_the_solved_one_is() -> None:
     truth = (tagged.seen_from(antenna) - shell.seen_from(antenna)).T[3:-3:4]
 
     def left(body: str, mirrored: int = 1) -> float:
-        made = tagged_object(
-            positions * (1, mirrored),
-            parse_body(body),
-            ReflectorSpec("octahedron", 0.02),
-            np.random.default_rng(1),
-        )[0]
-        echo = np.array([field(made, (float(x), float(y), 0.0), frequency) for x, y, _ in antenna]).T
+        places, rng = positions * (1, mirrored), np.random.default_rng(1)
+        made = tagged_object(places, parse_body(body), ReflectorSpec("octahedron", 0.02), rng)[0]
+        echo = field(made, antenna, frequency)
         echo, seen = (item - item.mean(axis=1, keepdims=True) for item in (echo, truth))
         along = np.abs((echo.conj() * seen).sum(axis=1)) ** 2 / (np.abs(echo) ** 2).sum(axis=1)
         return float(1 - along.sum() / (np.abs(seen) ** 2).sum())
@@ -287,25 +241,15 @@ def test_a_tag_on_a_helmet_is_what_the_solved_one_is() -> None:
     assert left("helmet:96mm", mirrored=-1) > 0.5
 
 
-def test_elevation_is_in_the_echo_and_not_in_the_capture() -> None:
+def test_elevation_is_in_the_echo() -> None:
     scene = Scene.of_points(np.zeros((1, 2)))
-    capture, truth = simulate_capture(
-        scene, Acquisition(views=3, placement=Placement(height_m=0.1), recording=Recording("complex64"))
-    )
-    farther = np.sqrt(1 + 0.1**2)
-    expected, _ = simulate_capture(
-        scene,
-        Acquisition(views=3, axis_distance_m=farther, window=FIXED, recording=Recording("complex64")),
-    )
-    np.testing.assert_allclose(truth.clean, expected.samples, atol=1e-5)
-    assert capture.antenna_height_m == 0.0
-    assert capture.object.truth.elevation_m == 0.1
+    raised = clean(scene, 1, placement=Placement(height_m=0.1))
+    np.testing.assert_allclose(raised, clean(scene, 1, axis_distance_m=np.hypot(1, 0.1)), atol=1e-5)
 
 
 @pytest.mark.parametrize("text", ["can:35mm", "box:120mm", "helmet:98mm"])
 def test_a_wall_is_weaker_from_above(text: str) -> None:
-    scene = scene_of(text, tagged=False)
-    body = replace(scene, room=None)
+    body = replace(scene_of(text, tagged=False), room=None)
     level = [np.abs(clean(body, 36, placement=Placement(height_m=h))).max() for h in (0.0, 0.1, 0.25)]
     assert level[0] > level[1] > level[2] > 0
 
@@ -319,11 +263,11 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
     )
     capture, truth = simulate_capture(scene, how, seed=2)
     noise = float((capture.samples - truth.clean).std())
-    same = {"placement": how.placement}
-    tag = scene.tag
-    single = max(np.abs(clean(Scene("x", (tag.single(i),)), 180, **same)).max() for i in range(2))
-    both = np.abs(clean(Scene("x", (tag,)), 180, **same)).max()
-    measured = [20 * np.log10(level / noise) for level in (single, both)]
+    first, other, both = (
+        np.abs(clean(Scene("x", (part,)), 180, placement=how.placement)).max()
+        for part in (scene.tag.single(0), scene.tag.single(1), scene.tag)
+    )
+    measured = [20 * np.log10(level / noise) for level in (max(first, other), both)]
     assert measured[index] == pytest.approx(12.0, abs=0.1)
     assert (truth.snr.reflector_db, truth.snr.summed_db) == pytest.approx(measured, abs=0.1)
     reported = capture.object.truth
@@ -368,74 +312,50 @@ def test_interference_is_a_tone_of_the_stated_level() -> None:
     assert frequency[int(np.argmax(spectrum))] == pytest.approx(3.5e9, abs=0.06e9)
 
 
-def test_random_pulses_differ_and_are_not_stated() -> None:
-    first, second = (random_pulse(np.random.default_rng(seed)) for seed in (1, 2))
-    assert not np.allclose(first.samples, second.samples)
-    capture, _ = simulate_capture(scene_from_name("helmet-120"), Acquisition(views=3, pulse=first))
-    assert capture.pulse is None
-    assert capture.object.truth.pulse == "other"
-
-
-def test_the_truth_is_in_the_capture() -> None:
+def test_the_truth_is_in_the_capture_and_nothing_else_tells_it() -> None:
     scene = scene_on_body("container-90", parse_body("can:35mm,handle"), ReflectorSpec(), 7)
-    how = Acquisition(views=4, placement=Placement((0.003, -0.002), np.deg2rad(40)), wobble=Wobble(0.01))
-    reported = simulate_capture(scene, how)[0].object
-    assert (reported.layout, reported.body, reported.reflector) == (
-        "container-90",
-        "can:35mm,handle",
-        "octahedron:20mm",
+    pulse, other = (random_pulse(np.random.default_rng(seed)) for seed in (1, 2))
+    assert not np.allclose(pulse.samples, other.samples)
+    placement = Placement((0.003, -0.002), np.deg2rad(40), 0.1)
+    capture, _ = simulate_capture(
+        scene, Acquisition(4, placement=placement, wobble=Wobble(0.01), pulse=pulse)
     )
-    assert reported.truth.rotation_deg == pytest.approx(40)
-    assert reported.truth.centre_m == (0.003, -0.002)
-    assert reported.truth.wobble_speed == 0.01
+    reported, truth = capture.object, capture.object.truth
+    assert (reported.layout, reported.body) == ("container-90", "can:35mm,handle")
+    assert reported.reflector == "octahedron:20mm"
+    assert truth.rotation_deg == pytest.approx(40)
+    assert (truth.centre_m, truth.elevation_m) == ((0.003, -0.002), 0.1)
+    assert (truth.wobble_speed, truth.pulse) == (0.01, "other")
+    assert (capture.pulse, capture.antenna_height_m) == (None, 0.0)
+
+
+CONFIG = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
 
 
 def test_the_emulator_sees_a_body_off_the_axis_as_the_simulator_does() -> None:
     scene = scene_of("can:35mm,handle,seam")
-    config = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
     how = Acquisition(
         views=10, placement=Placement((0.006, -0.003), 0.4, 0.05), wobble=Wobble(0.02), range_law=True
     )
     source = TurningScene(scene, rpm=3.0, seed=6, acquisition=how)
-    window, gain = source.window(config), source.counts_per_unit(config)
+    window, gain = source.window(CONFIG), source.counts_per_unit(CONFIG)
     assert (window.start_m, window.bins) == (pytest.approx(3e-9 * SPEED_OF_LIGHT / 2), 288)
     how = replace(how, window=window, recording=Recording(counts_per_unit=gain))
     truth = simulate_capture(scene, how, seed=6)[1]
     for view in range(10):
-        np.testing.assert_allclose(source.clean(view * 2.0, config), truth.clean[view], atol=1e-6 * gain)
+        np.testing.assert_allclose(source.clean(view * 2.0, CONFIG), truth.clean[view], atol=1e-6 * gain)
         assert source.angle(view * 2.0) == pytest.approx(truth.angles_rad[view])
+    assert source.about().truth.rotation_deg == pytest.approx(np.rad2deg(0.4)), "at time zero"
     assert source.snr.reflector_db == pytest.approx(20.0)
     assert source.snr.summed_db > 20
 
 
-def test_the_true_pose_of_an_emulated_scene_is_that_at_time_zero() -> None:
-    scene = scene_of("none")
-    config = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
-
-    def turning(rotation_deg: float) -> TurningScene:
-        placed = Placement((0.0, 0.0), np.deg2rad(rotation_deg))
-        return TurningScene(scene, rpm=7.0, seed=6, acquisition=Acquisition(placement=placed, noise_std=0.1))
-
-    source, start_s = turning(30.0), 10.0
-    reported = source.about().truth
-    assert reported.rotation_deg == pytest.approx(30)
-    then = turning(30.0 + 6 * source.rpm * start_s).clean(0.0, config)
-    np.testing.assert_allclose(source.clean(start_s, config), then, atol=1e-6 * np.abs(then).max())
-    assert not np.allclose(source.clean(0.0, config), then, atol=1e-2 * np.abs(then).max())
-
-
 def test_reflectors_stand_off_the_middle_of_their_body() -> None:
-    made = tagged_object(
-        np.array([[0.045, 0.0]]),
-        parse_body("can:30mm"),
-        ReflectorSpec(),
-        np.random.default_rng(0),
-        Variation(ring_m=(0.002, 0.0)),
-    )
-    tag, can = made
+    variation = Variation(ring_m=(0.002, 0.0))
+    rng, place = np.random.default_rng(0), np.array([[0.045, 0.0]])
+    tag, can = tagged_object(place, parse_body("can:30mm"), ReflectorSpec(), rng, variation)
     assert isinstance(tag, Mounted) and isinstance(can, RoundBody)
-    assert can.centre_m == (-0.002, 0.0)
-    assert tag.axis_m == can.centre_m
+    assert tag.axis_m == can.centre_m == (-0.002, 0.0)
     assert unit_of(Octahedron(0.02)) == tag.unit_m == can.unit_m
 
 
@@ -447,23 +367,13 @@ def test_an_emulated_radars_scene_takes_a_body_and_its_place() -> None:
         "elevation": "5cm",
     }
     source = turning_scene(SceneSpec.from_url("container-90", options))
-    assert isinstance(source, TurningScene)
-    expected = TurningScene(
-        scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec()),
-        6.0,
-        acquisition=Acquisition(placement=Placement((0.004, -0.002), height_m=0.05)),
-    )
-    config = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
-    np.testing.assert_allclose(source.clean(1.0, config), expected.clean(1.0, config))
-    for wrong in (
-        {"body": "can:35"},
-        {"centre": "1"},
-        {"centre": "a,b"},
-        {"elevation": "3"},
-        {"handle": "1"},
-    ):
+    scene = scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec())
+    placed = Acquisition(placement=Placement((0.004, -0.002), height_m=0.05))
+    expected = TurningScene(scene, 6.0, acquisition=placed)
+    np.testing.assert_allclose(source.clean(1.0, CONFIG), expected.clean(1.0, CONFIG))
+    for wrong in ("body=can:35", "centre=1", "centre=a,b", "elevation=3", "handle=1"):
         with pytest.raises(UsageError) as error:
-            turning_scene(SceneSpec.from_url("container-90", wrong))
+            turning_scene(SceneSpec.from_url("container-90", dict([wrong.split("=")])))
         assert error.value.remedy
 
 
@@ -480,14 +390,11 @@ def test_command_line_url_and_api_request_one_scene() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {},
-        {"scene": "can", "response": Path("r.npz")},
-        {"scene": "can", "polarisation": "H"},
-        {"response": Path("r.npz"), "budget": True},
-        {"scene": "can", "unlike": 3.0},
+        {}, {"scene": "can", "response": Path("r.npz")}, {"scene": "can", "polarisation": "H"},
+        {"response": Path("r.npz"), "budget": True}, {"scene": "can", "unlike": 3.0},
         {"scene": "can", "reflector": "octahedron", "unlike": float("nan")},
     ],
-)
+)  # fmt: skip
 def test_options_of_a_scene_that_contradict_each_other(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError) as error:
         SceneSpec(**options)
@@ -510,11 +417,7 @@ def test_what_is_not_a_pair_of_numbers(text: str) -> None:
     ],
 )
 def test_bodies_are_read_and_written(text: str, spec: BodySpec) -> None:
-    parsed = parse_body(text)
-    assert (parsed.kind, parsed.parts) == (spec.kind, spec.parts)
-    assert parsed.size_m == pytest.approx(spec.size_m)
-    assert dict(parsed.lengths) == pytest.approx(dict(spec.lengths))
-    assert parse_body(str(parsed)).size_m == pytest.approx(parsed.size_m)
+    assert parse_body(text) == parse_body(str(spec)) == spec
 
 
 @pytest.mark.parametrize(
@@ -536,11 +439,8 @@ def test_other_texts_are_read_strictly() -> None:
     assert parse_reflector("octahedron").size_m == 0.02
     assert parse_length("x", "3.5cm") == pytest.approx(0.035)
     assert parse_elevation("-50mm") == pytest.approx(-0.05)
-    for read, text in (
-        (parse_reflector, "corner:20mm"),
-        (parse_reflector, "octahedron:20"),
-        (parse_elevation, "1m"),
-    ):
+    wrong = (parse_reflector, "corner:20mm"), (parse_reflector, "octahedron:20"), (parse_elevation, "1m")
+    for read, text in wrong:
         with pytest.raises(UsageError):
             read(text)
 
@@ -559,6 +459,7 @@ def test_objects_that_cannot_be_built_are_refused() -> None:
         lambda: Layer(0.1, -2.0),
         lambda: RoundBody((Layer(0.03, METAL),), 0.0),
         lambda: Multipoles.of(WAVENUMBER, (Layer(0.04), Layer(0.03))),
+        lambda: Multipoles.of(WAVENUMBER, (Layer(0.04), Layer(0.044, 6.0))).field(0.042, AROUND),
     ):
         with pytest.raises(DataError):
             make()

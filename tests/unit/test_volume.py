@@ -1,4 +1,5 @@
-"""The solver by cells against exact series of line sources, and the population that is solved with it."""
+"""The solver by cells against exact series of line sources, the population that is solved with it, and the
+reader's sheet of metal against a solved box."""
 
 from __future__ import annotations
 
@@ -7,9 +8,14 @@ import pytest
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.fields.bessel import bessel
+from tagid.fields.thin_shell import BoxShell, ShellField
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.reading.decision import decide
+from tagid.reading.reader import contest
+from tagid.reading.sheet import METAL_M, OBLIQUITIES
 from tagid.simulate.multipole import Layer, Multipoles
 from tagid.tags.layouts.layout import builtin_layouts
-from train import volume, volume_objects
+from train import population, volume, volume_objects
 from train.volume import METAL, Cells, ellipse, metal, wall
 
 F = np.linspace(2.8e9, 5.2e9, 9)
@@ -111,3 +117,27 @@ def test_a_seed_is_a_recording() -> None:
     first, again = volume_objects.draw(1), volume_objects.draw(1)
     assert np.array_equal(first.capture.samples, again.capture.samples)
     assert first.capture.views == first.views and first.capture.samples.std() > 0
+
+
+@pytest.mark.parametrize("half_m", [(0.0286, 0.0173), (0.035, 0.035), (0.06, 0.045)])
+def test_a_sheet_of_metal_returns_what_a_solved_box_does(half_m: tuple[float, float]) -> None:
+    f, antenna = np.linspace(3.1e9, 4.8e9, 5), np.exp(2j * np.pi * np.arange(72) / 72)
+    k = 2 * np.pi * f / SPEED_OF_LIGHT
+    solved = volume.echo(metal(volume.box(*half_m)), f, antenna) * np.exp(-2j * k)[:, None]
+    columns = ShellField.of(k, BoxShell(*half_m, METAL_M), 48).seen_from(antenna).echoes(OBLIQUITIES)
+    remaining = [
+        base - rows.T @ np.linalg.lstsq(rows.T, base, rcond=None)[0]
+        for base, rows in zip(solved, columns, strict=True)
+    ]
+    moving = solved - solved.mean(axis=1, keepdims=True)
+    assert (np.abs(remaining) ** 2).sum() < 1e-3 * (np.abs(moving) ** 2).sum()
+
+
+def test_a_box_with_another_object_beside_it_is_no_tag() -> None:
+    """With odd scatterers in the field of the box alone it was a pair on a filled vessel, by 10 nats."""
+    specimen = population.draw(320237, views=12)
+    assert (specimen.body, specimen.clutter, len(specimen.positions)) == ("box", "second", 0)
+    scans = preprocess(specimen.capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    pairs = [layout for layout in builtin_layouts().values() if layout.name.startswith("container-")]
+    decision = decide(contest(scans, pairs).run())
+    assert decision.status == "no_tag" and "a box of metal" in decision.reason and decision.lead < -9
