@@ -23,11 +23,22 @@ from tagid.simulate.scene import Scene
 
 EPOCH_NS = 1_750_000_000_000_000_000
 SPEED = np.radians(41.7)
+CONFIG = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
+
+
+def arrivals_of(times: np.ndarray) -> np.ndarray:
+    """Times in s of the host's clock, in ns."""
+    return EPOCH_NS + (times * 1e9).astype(np.int64)
+
+
+def track_of(times: np.ndarray, angles: np.ndarray, sigma_rad: object = 1e-3, **info: object) -> Track:
+    """Readings that arrived at these times, in s."""
+    return Track(arrivals_of(times), angles, np.broadcast_to(sigma_rad, angles.shape), info)
 
 
 def late(times: np.ndarray, rng: np.random.Generator, mean_s: float) -> np.ndarray:
-    """Arrivals in ns of what was sent at these times."""
-    return EPOCH_NS + ((times + rng.exponential(mean_s, len(times))) * 1e9).astype(np.int64)
+    """When what was sent at these times arrives, in s."""
+    return times + rng.exponential(mean_s, len(times))
 
 
 def test_the_lower_edge_is_the_true_clock() -> None:
@@ -55,12 +66,9 @@ def test_angles_are_those_of_the_scans_moments(direction: int) -> None:
     def angle(times: np.ndarray) -> np.ndarray:
         return direction * SPEED * np.maximum(times - 0.4, 0)
 
-    track = Track(
-        late(frames, rng, 0.012), angle(frames), np.full(len(frames), 1e-3), {"step_s": 0.015, "kind": "test"}
-    )
-    drifting = 1 + 80e-6
-    clock = fit_clock(np.floor(scans * drifting * 1e3))
-    result = align(clock, late(scans, rng, 0.004), track)
+    track = track_of(late(frames, rng, 0.012), angle(frames), step_s=0.015, kind="test")
+    clock = fit_clock(np.floor(scans * (1 + 80e-6) * 1e3))
+    result = align(clock, arrivals_of(late(scans, rng, 0.004)), track)
     error = np.degrees(result.angles_rad - angle(scans))
     assert np.abs(error - np.median(error)).max() < 0.15
     assert np.abs(np.median(error)) < 0.1
@@ -71,19 +79,12 @@ def test_angles_are_those_of_the_scans_moments(direction: int) -> None:
 
 def test_angles_beyond_the_last_reading_say_that_they_are_guesses() -> None:
     scans, frames = np.arange(0, 10, 0.02), np.arange(0, 5, 0.015)
-    track = Track(
-        EPOCH_NS + (frames * 1e9).astype(np.int64),
-        SPEED * frames,
-        np.full(len(frames), 1e-3),
-        {"step_s": 0.015},
-    )
-    clock = fit_clock(np.floor(scans * 1e3))
-    arrivals = EPOCH_NS + (scans * 1e9).astype(np.int64)
-    result = align(clock, arrivals, track)
+    clock, arrivals = fit_clock(np.floor(scans * 1e3)), arrivals_of(scans)
+    result = align(clock, arrivals, track_of(frames, SPEED * frames, step_s=0.015))
     assert result.sigma_rad[-1] == pytest.approx(SPEED * 5, rel=0.02)
     assert result.outside == pytest.approx(245, abs=2)
     # A table that turns by itself did not stop there.
-    runs_on = Track(track.host_time_ns, track.angles_rad, track.sigma_rad, {"runs_on": True})
+    runs_on = track_of(frames, SPEED * frames, runs_on=True)
     assert align(clock, arrivals, runs_on).angles_rad[-1] == pytest.approx(SPEED * scans[-1], rel=1e-3)
     with pytest.raises(DataError):
         align(clock, arrivals, Track.of([], {}))
@@ -91,17 +92,10 @@ def test_angles_beyond_the_last_reading_say_that_they_are_guesses() -> None:
 
 def scans_over(angles: np.ndarray, snr_db: float = 20.0) -> np.ndarray:
     """Scans of the helmet at these angles."""
-    known = dict(enumerate(angles))
-    scene = TurningScene(
-        scene_from_name("helmet-120", 1),
-        0,
-        1,
-        Acquisition(snr_db=snr_db),
-        true_angle=lambda i: known[round(i)],
-    )
+    acquisition, helmet = Acquisition(snr_db=snr_db), scene_from_name("helmet-120", 1)
+    scene = TurningScene(helmet, 0, 1, acquisition, true_angle=lambda i: angles[round(i)])
     scene.follow(lambda moment: moment)
-    config = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
-    return np.stack([scene.scan(i, float(i), config) for i in range(len(angles))])
+    return np.stack([scene.scan(i, float(i), CONFIG) for i in range(len(angles))])
 
 
 def test_the_radar_sees_how_far_a_turn_is_whatever_the_speed_does() -> None:
@@ -115,12 +109,9 @@ def test_the_radar_sees_how_far_a_turn_is_whatever_the_speed_does() -> None:
 def test_a_scan_scales_its_own_angles() -> None:
     times = np.arange(0, 12, 0.024)
     true = SPEED * times
-    track = Track(
-        EPOCH_NS + (times * 1e9).astype(np.int64), 0.92 * true, np.zeros(len(times)),
-        {"scale_sigma": 0.06, "step_s": 0.024, "robot": "r", "wheel_base_mm": 235.0},
-    )  # fmt: skip
-    arrivals = EPOCH_NS + (times * 1e9).astype(np.int64)
-    angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
+    info = {"scale_sigma": 0.06, "step_s": 0.024, "robot": "r", "wheel_base_mm": 235.0}
+    track, clock = track_of(times, 0.92 * true, 0.0, **info), fit_clock(np.floor(times * 1e3))
+    angles = measured_angles(scans_over(true), clock, arrivals_of(times), track)
     assert np.abs(angles.angles_rad - true).max() < np.radians(1.5)
     assert angles.info.checked_by_radar and angles.info.quality > 0.8
     robot, result = wheel_base_from(angles.info)
@@ -133,9 +124,8 @@ def test_a_marker_breaks_a_symmetry() -> None:
     positions = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.15]])
     times = np.arange(0, 2.5, 1 / 200) * 20
     scene = Scene.of_points(positions, np.array([1.0, 1.0, 0.35]))
-    config = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
     turning = TurningScene(scene, 3.0, 1, Acquisition(snr_db=20))
-    samples = np.stack([turning.scan(i, float(moment), config) for i, moment in enumerate(times)])
+    samples = np.stack([turning.scan(i, float(moment), CONFIG) for i, moment in enumerate(times)])
     assert find_period(samples, times).period_s == pytest.approx(10, rel=5e-3)
     assert find_period(samples, times, marker=True).period_s == pytest.approx(20, rel=5e-3)
 
@@ -157,39 +147,32 @@ def test_a_robot_is_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 STEP_S = 0.024
 
 
-def spun(slip: float, turns: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True angles, the odometry's and its sigmas of a robot that slips on the floor."""
-    body = Body(BodySettings(slip=slip, seed=1))
-    odometry = SpinOdometry(1)
-    speed = 3 * SPEED_STEP_MM_S
-    body.drive(speed, -speed)
-    rows = []
-    time_s = 0.0
+def spun(turns: float) -> np.ndarray:
+    """True angles, the odometry's and its sigmas (3, steps) of a robot that slips on the floor by 5 %."""
+    body, odometry = Body(BodySettings(slip=0.05, seed=1)), SpinOdometry(1)
+    body.drive(3 * SPEED_STEP_MM_S, -3 * SPEED_STEP_MM_S)
+    rows, time_s = [], 0.0
     while body.heading_rad < turns * 2 * np.pi:
         body.advance(time_s)
         rows.append((body.heading_rad, odometry.add(*body.encoders()), odometry.sigma_rad))
         time_s += STEP_S
-    true, reported, sigma = np.array(rows).T
-    return true, reported, sigma
+    return np.array(rows).T
 
 
-def robot_at(port: str) -> Roomba:
-    motion = open_motion(f"roomba+serial://{port}?step=3")
+@pytest.fixture(params=[False, True], ids=["new", "calibrated"])
+def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Roomba:
+    """A calibrated wheel base does not know today's floor."""
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
+    if request.param:
+        remember("/dev/robot", Calibration(235.0, 0.002, 2.3))
+    motion = open_motion("roomba+serial:///dev/robot?step=3")
     assert isinstance(motion, Roomba)
     return motion
 
 
-@pytest.mark.parametrize("calibrated", [False, True])
 @pytest.mark.parametrize("turns", [0.15, 1.0, 1.2])
-def test_the_stated_sigma_holds_with_five_per_cent_of_slip(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calibrated: bool, turns: float
-) -> None:
-    """A calibrated wheel base does not know today's floor."""
-    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-    if calibrated:
-        remember("/dev/robot", Calibration(235.0, 0.002, 2.3))
-    robot = robot_at("/dev/robot")
-    true, reported, sigma = spun(0.05, turns)
+def test_the_stated_sigma_holds_with_five_per_cent_of_slip(robot: Roomba, turns: float) -> None:
+    true, reported, sigma = spun(turns)
     stated = np.hypot(sigma, robot.scale_sigma * reported)
     error = np.abs(reported - true)[1:]
     assert error[-1] > np.radians(2.5), "there is something to state"
@@ -197,18 +180,13 @@ def test_the_stated_sigma_holds_with_five_per_cent_of_slip(
     assert error[-1] > 0.3 * stated[-1], "and it is not stated so widely that it says nothing"
 
 
-def test_a_full_turn_is_closed_by_the_radar_also_for_a_calibrated_robot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-    remember("/dev/robot", Calibration(235.0, 0.002, 2.3))
-    robot = robot_at("/dev/robot")
-    true, reported, sigma = spun(0.05, robot.turns)
+@pytest.mark.parametrize("robot", [True], indirect=True)
+def test_a_full_turn_is_closed_by_the_radar_also_for_a_calibrated_robot(robot: Roomba) -> None:
+    true, reported, sigma = spun(robot.turns)
     times = STEP_S * np.arange(len(true))
-    arrivals = EPOCH_NS + (times * 1e9).astype(np.int64)
-    info = {"scale_sigma": robot.scale_sigma, "step_s": STEP_S}
-    track = Track(arrivals, reported, sigma, info)
-    angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
+    track = track_of(times, reported, sigma, scale_sigma=robot.scale_sigma, step_s=STEP_S)
+    clock = fit_clock(np.floor(times * 1e3))
+    angles = measured_angles(scans_over(true), clock, arrivals_of(times), track)
     assert angles.info.checked_by_radar
     assert angles.info.scale == pytest.approx(0.95, rel=3e-3)
     error = np.abs(angles.angles_rad - (true - true[0]))

@@ -70,12 +70,11 @@ def test_safe_mode_is_recognised_whatever_the_firmware_adds(mode_offset: int) ->
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_positive_direction_is_counter_clockwise_and_the_odometry_agrees(direction: int) -> None:
-    core = RoombaCore()
+    core, odometry = RoombaCore(), SpinOdometry(direction)
     link = MemoryLink(core)
     robot = OpenInterface(link)
     robot.wake()
     robot.safe()
-    odometry = SpinOdometry(direction)
     for moment_s in (0.0, 4.0):
         link.now_s = moment_s
         values = robot.query([Packet.LEFT_ENCODER, Packet.RIGHT_ENCODER])
@@ -93,12 +92,8 @@ def test_a_full_robot_on_its_base_is_on_the_charger(contacts: int, charging: int
     class Answers(MemoryLink):
         def write(self, data: bytes) -> None:
             if data.startswith(bytes([oi.Op.QUERY_LIST])):
-                values = {
-                    Packet.MODE: Mode.PASSIVE,
-                    Packet.VOLTAGE: 16_000,
-                    Packet.CHARGER: contacts,
-                    Packet.CHARGING_STATE: charging,
-                }
+                values = {Packet.MODE: Mode.PASSIVE, Packet.VOLTAGE: 16_000}
+                values |= {Packet.CHARGER: contacts, Packet.CHARGING_STATE: charging}
                 self.answers = b"".join(oi.pack_packet(packet, values) for packet in data[2:])
 
     assert OpenInterface(Answers(RoombaCore())).status().on_charger
@@ -123,15 +118,14 @@ def test_a_tables_angle_goes_on_beyond_a_turn(
     assert isinstance(table, PolledTable)
     table._link = link = MemoryLink(core)
     table._begin()
-    reported, true = list[float](), list[float]()
+    rows = []
     while link.now_s < 40:
         link.now_s += 0.5  # 9 degrees
-        for _, angle, _ in table._poll():
-            reported.append(angle)
-            true.append(math.radians(core.table.angle_deg))
+        rows += [(angle, math.radians(core.table.angle_deg)) for _, angle, _ in table._poll()]
+    reported, true = np.array(rows).T
     assert abs(true[-1] - true[0]) > 2 * math.pi
     assert math.copysign(1, reported[-1]) == table.direction
-    np.testing.assert_allclose(np.subtract(reported, reported[0]), np.subtract(true, true[0]), atol=0.01)
+    np.testing.assert_allclose(reported - reported[0], true - true[0], atol=0.01)
 
 
 def test_a_turn_is_recorded_even_if_the_device_overestimates_its_angle_by_three_sigma() -> None:
@@ -180,32 +174,29 @@ class Scripted(DrivenMotion):
     kind = "scripted"
     stops_by = "hold it"
 
-    def __init__(
-        self, begin: BaseException | None = None, poll: BaseException | None = None, **options: Any
-    ) -> None:
-        super().__init__("the thing", 1, 10.0, **options)
-        self._begin_error, self._poll_error = begin, poll
-        self.halt_error: Exception | None = None
-        self.calls: list[str] = []
+    def __init__(self, max_seconds: float = 300.0, **errors: BaseException) -> None:
+        super().__init__("the thing", 1, 10.0, max_seconds=max_seconds)
+        self.errors, self.calls = errors, list[str]()
 
-    def _begin(self) -> None:
-        self.calls.append("begin")
-        if self._begin_error is not None:
-            raise self._begin_error
+    def _step(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.errors:
+            raise self.errors[name]
 
     def _poll(self) -> list[AngleReading]:
         time.sleep(1e-3)
-        if self._poll_error is not None and self._readings:
-            raise self._poll_error
+        if "poll" in self.errors and self._readings:
+            raise self.errors["poll"]
         return [(time.time_ns(), 0.5, 1e-3)]
 
+    def _begin(self) -> None:
+        self._step("begin")
+
     def _halt(self) -> None:
-        self.calls.append("halt")
-        if self.halt_error is not None:
-            raise self.halt_error
+        self._step("halt")
 
     def _close(self) -> None:
-        self.calls.append("close")
+        self._step("close")
 
     def describe(self) -> dict[str, Any]:
         return {}
@@ -266,8 +257,7 @@ def test_it_turns_no_longer_than_max_seconds() -> None:
 
 @pytest.mark.parametrize("cause", [DeviceGoneError("the cable is out", "Check it."), KeyError("x")])
 def test_a_halt_that_fails_says_first_that_it_may_still_turn(cause: Exception) -> None:
-    motion = Scripted(poll=cause)
-    motion.halt_error = KeyError("no answer")
+    motion = Scripted(poll=cause, halt=KeyError("no answer"))
     run_to_its_end(motion)
     with pytest.raises(DeviceError, match=r"^It may still be turning: hold it\. .*") as error:
         motion.stop()
@@ -290,15 +280,16 @@ def test_a_link_closed_without_disarming_stops_the_device() -> None:
     """The error path of every driver: whatever happened, the guardian has the last word."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    link = SerialLink(os.ttyname(slave), 115200, b"HALT")
-    link.arm(30.0)
+    for disarmed in (False, True):
+        link = SerialLink(os.ttyname(slave), 115200, b"HALT")
+        link.arm(30.0)
+        if disarmed:
+            link.write(b"last words")
+            link.disarm()
+        else:
+            link.close()
+            assert waiting(master) == b"HALT" * 3, "the guardian has ended, so all of it is there"
     link.close()
-    assert waiting(master) == b"HALT" * 3, "the guardian has ended, so all of it is there"
-    again = SerialLink(os.ttyname(slave), 115200, b"HALT")
-    again.arm(30.0)
-    again.write(b"last words")
-    again.disarm()
-    again.close()
     assert waiting(master) == b"last words"
     for descriptor in (master, slave):
         os.close(descriptor)
