@@ -1,4 +1,5 @@
-"""The prior follows the data: coupled pixels take the field's place where unseen views ask for it."""
+"""Coupled pixels, a Gaussian prior whose variance neighbours share, and the prior that follows the data: they
+take the field's place where unseen views ask for it."""
 
 from __future__ import annotations
 
@@ -17,9 +18,10 @@ from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FirstImages
 from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.coupled import coupled_recovery
+from tagid.imaging.coupled import coupled_recovery, damped
 from tagid.imaging.facts import facts_of
 from tagid.imaging.heldout import left_out, residual
+from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
@@ -27,29 +29,74 @@ from tagid.operate.words import COUPLED_PIXELS, learned_words, method_shown
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, scans_from, turn
-from tests.unit.test_imaging_coupled import arc
 
 GRID = ImageGrid(0.3, 40)
+COARSE = ImageGrid(0.3, 6)
 QUICK = AtsSettings(steps=40)
+
+
+def arc(views: int, noise: float = 0.0) -> BasebandScans:
+    """Scans of a third of a circle of 8 cm, of points a sixth of a wavelength apart."""
+    t = np.linspace(0, 2 * np.pi / 3, 14)
+    points = 0.08 * np.column_stack([np.cos(t), np.sin(t)])
+    phases = np.exp(2j * np.pi * np.random.default_rng(1).random(14))
+    return scans_from(record(points, phases, turn(views), noise=noise, analytic=True), GRID.extent)
+
+
+def test_conjugate_gradients_solve_the_damped_normal_equations() -> None:
+    scans = arc(20)
+    operator = ForwardOperator(scans, COARSE)
+    units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
+    dense = np.stack([unit.forward(np.ones(1)).ravel() for unit in units], axis=1).astype(np.complex128)
+    root = np.linspace(0.2, 1.0, operator.points).astype(np.float32)
+    damping = 0.05 * float(np.linalg.norm(dense, 2) ** 2)
+    scaled = dense * root
+    right = scaled.conj().T @ scans.samples.ravel()
+    direct = np.linalg.solve(scaled.conj().T @ scaled + damping * np.eye(len(right)), right)
+    mine = damped(operator, scans.samples, root, damping)
+    assert np.linalg.norm(mine - direct) < 0.02 * np.linalg.norm(direct)
+
+
+@pytest.mark.parametrize("views", [24, 36])
+def test_views_between_are_predicted_where_sparse_pixels_predict_half(views: int) -> None:
+    scans, between = arc(views, noise=0.1), arc(180)
+    remaining = residual(between, coupled_recovery(scans, GRID))
+    assert remaining < 0.5 * residual(between, sparse_recovery(scans, GRID))
+
+
+def test_noise_that_is_known_is_not_imaged_and_silence_neither() -> None:
+    scans, between = arc(36, noise=2.0), arc(180)
+    unaware = replace(scans, noise_std=0.0)
+    remaining = residual(between, coupled_recovery(scans, GRID))
+    assert remaining < 0.5 * residual(between, coupled_recovery(unaware, GRID))
+    assert not coupled_recovery(replace(scans, samples=0 * scans.samples), GRID).values.any()
+
+
+def test_a_point_keeps_its_amplitude_and_its_place() -> None:
+    """Its echo is spread over a resolution cell, whose sum it is."""
+    amplitude = 2.0 * np.exp(0.4j)
+    scans = scans_from(record([[0.05, -0.03]], [amplitude], turn(36), analytic=True), GRID.extent)
+    values = coupled_recovery(scans, GRID).values.ravel()
+    away = np.hypot(*(GRID.points - [0.05, -0.03]).T)
+    assert away[np.abs(values).argmax()] < GRID.step
+    assert values[away < 0.02].sum() == pytest.approx(amplitude, rel=0.15)
 
 
 def facing(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> Capture:
     """A turn of scatterers, each seen only where its side faces the antenna."""
     normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     aperture = turn(views)
-    rows = []
-    for view in range(views):
-        sight = aperture.positions[view, :2] - points
-        cosine = (sight * normals).sum(axis=1) / np.linalg.norm(sight, axis=1)
-        single = aperture.select(np.array([view]))
-        seen = phases * np.maximum(cosine, 0)
-        rows.append(record(points, seen, single, start_m=0.4, analytic=True).samples)
+    sight = aperture.positions[:, None, :2] - points
+    cosine = (sight * normals).sum(axis=2) / np.linalg.norm(sight, axis=2)
+    rows = [
+        record(points, phases * seen, aperture.select(np.array([view])), start_m=0.4, analytic=True).samples
+        for view, seen in enumerate(np.maximum(cosine, 0))
+    ]
     whole = record(points, phases, aperture, start_m=0.4, analytic=True)
     return replace(whole, samples=np.vstack(rows))
 
 
 def faced(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> BasebandScans:
-    """Its scans."""
     return scans_from(facing(points, normals, phases, views), GRID.extent)
 
 
@@ -90,24 +137,6 @@ def test_points_keep_the_default_prior_without_a_trial_and_all_views_are_fitted(
     np.testing.assert_array_equal(image.values, fit(scans, GRID, AtsSettings()).image.values)
 
 
-def plain_residual(scans: BasebandScans, unseen: np.ndarray) -> float:
-    """What backprojection leaves of views that it has not seen."""
-    seen = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), unseen))
-    return residual(select_views(scans, unseen), backproject(seen, GRID))
-
-
-def test_an_outline_seen_from_its_side_is_an_extended_scene() -> None:
-    scans = rough(60)
-    image = fit_adapted(scans, GRID, AtsSettings()).image
-    assert image.settings["prior"] == "coupled"
-    np.testing.assert_array_equal(image.values, coupled_recovery(scans, GRID).values)
-    unseen = left_out(60)
-    seen = select_views(scans, np.setdiff1d(np.arange(60), unseen))
-    remaining = residual(select_views(scans, unseen), coupled_recovery(seen, GRID))
-    assert remaining < 0.7 * fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
-    assert remaining < 0.2 * plain_residual(scans, unseen)
-
-
 def test_of_a_scene_that_points_explain_nearly_the_better_prior_is_taken() -> None:
     scans, between = arc(60), arc(180)
     result, field = fit_adapted(scans, GRID, AtsSettings()), fit(scans, GRID, AtsSettings())
@@ -136,7 +165,8 @@ def test_every_view_takes_part_often_enough_for_a_scene_whose_views_differ() -> 
     made = fit_adapted(scans, GRID, AtsSettings()).image.settings
     assert made["views_per_step"] == 24
     unseen = left_out(240)
-    plain = plain_residual(scans, unseen)
+    seen = select_views(scans, np.setdiff1d(np.arange(240), unseen))
+    plain = residual(select_views(scans, unseen), backproject(seen, GRID))
     settings = settings_of(facts_of(made), AtsSettings())
     assert settings.views_per_step == 24
     settled = fit(scans, GRID, settings, unseen=unseen).held_out
@@ -152,9 +182,7 @@ def test_a_dozen_views_a_step_are_enough_where_the_steps_see_each_ten_times() ->
     assert replace(plain, views_per_step=48).seeing_all(360).views_per_step == 48
 
 
-@pytest.mark.parametrize(
-    ("scene", "views", "share"), [(rough, 24, 0.8), (two_cans, 12, 0.6), (two_cans, 18, 0.6)]
-)
+@pytest.mark.parametrize(("scene", "views", "share"), [(rough, 24, 0.8), (two_cans, 12, 0.6)])
 def test_few_views_of_an_extended_scene_show_more_than_sparse_pixels_do(
     scene: Callable[[int], BasebandScans], views: int, share: float
 ) -> None:
@@ -162,6 +190,7 @@ def test_few_views_of_an_extended_scene_show_more_than_sparse_pixels_do(
     scans, between = scene(views), scene(180)
     image = fit_adapted(scans, GRID, AtsSettings()).image
     assert image.settings["prior"] == "coupled"
+    np.testing.assert_array_equal(image.values, coupled_recovery(scans, GRID).values)
     remaining = residual(between, image)
     assert remaining < share * residual(between, sparse_recovery(scans, GRID))
     assert remaining < share * residual(between, backproject(scans, GRID))

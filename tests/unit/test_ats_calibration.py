@@ -6,18 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imaging_scenes import record, scans_from, turn
 
 from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.calibration import (
-    Unknowns,
-    _gains,
-    _solve,
-    angle_error,
-    illumination,
-    improve,
-)
+from tagid.imaging.ats.calibration import Unknowns, _gains, _solve, angle_error, illumination, improve
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings, FitSettings
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -26,6 +18,7 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
+from tests.unit.imaging_scenes import record, scans_from, turn
 
 GRID = ImageGrid(0.4, 48)
 POINTS = np.array([[0.12, -0.05], [-0.08, 0.11], [0.02, 0.15]])
@@ -40,8 +33,7 @@ def scans_of(wobble=WOBBLE, offset_m=0.004, noise=0.05, gain=None, static=0.0, s
     capture = record(POINTS, [1.0, 0.8, 0.9], truth, analytic=True, noise=noise, seed=seed)
     scans = scans_from(capture, 0.4)
     samples = scans.samples * (1 if gain is None else gain[:, None]) + static
-    kept = {**scans.__dict__, "aperture": turn(VIEWS), "samples": samples.astype(np.complex64)}
-    return BasebandScans(**kept)
+    return replace(scans, aperture=turn(VIEWS), samples=samples.astype(np.complex64))
 
 
 def test_a_scene_that_explains_a_tenth_less_than_the_last_teaches_no_geometry() -> None:
@@ -128,7 +120,7 @@ def test_robust_weights_resist_a_few_wild_scans() -> None:
     wild = scans.samples.copy()
     rng = np.random.default_rng(0)
     wild[5::16] += 3 * (rng.standard_normal(wild[5::16].shape) + 1j * rng.standard_normal(wild[5::16].shape))
-    broken = BasebandScans(**{**scans.__dict__, "samples": wild})
+    broken = replace(scans, samples=wild)
     clean = fit(scans, GRID).image.values
     plain = fit(broken, GRID, FitSettings(held_out=0.0)).image.values
     robust = fit(broken, GRID, FitSettings(held_out=0.0, robust=3.0)).image.values
@@ -144,10 +136,9 @@ def test_samples_that_are_not_finite_are_refused() -> None:
 def test_a_removed_mean_is_part_of_the_model() -> None:
     """With the mean over the views goes a part of every echo; the fit knows, and sees unseen views better."""
     capture = record(POINTS, [1.0, 0.8, 0.9], turn(24), noise=0.02, analytic=True)
-    settings = PreprocessSettings("mean", False, extent_m=0.4)
-    scans = preprocess(capture, settings=settings)
+    scans = preprocess(capture, settings=PreprocessSettings("mean", False, extent_m=0.4))
     assert scans.background_removed
-    unaware = BasebandScans(**{**scans.__dict__, "background_removed": False})
+    unaware = replace(scans, background_removed=False)
     knowing, ignorant = (fit(s, GRID, FitSettings(held_out=0.1)) for s in (scans, unaware))
     assert knowing.held_out < 0.8 * ignorant.held_out
     assert "static" not in knowing.image.settings["calibration"]

@@ -94,6 +94,12 @@ def test_auto_is_the_fastest_engine_that_is_there(scans, monkeypatch) -> None:
     assert fit(scans, GRID, AtsSettings(steps=2)).image.settings["engine"] == "onnx"
 
 
+def test_a_missing_engine_is_named(scans, monkeypatch) -> None:
+    monkeypatch.setattr(fit_module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="torch"):
+        fit(scans, GRID, AtsSettings(steps=2, engine="torch"))
+
+
 @needs_torch
 def test_a_device_that_is_not_there_is_named(scans) -> None:
     if not torch.cuda.is_available():
@@ -101,12 +107,6 @@ def test_a_device_that_is_not_there_is_named(scans) -> None:
             fit(scans, GRID, AtsSettings(steps=2, device="cuda"))
     with pytest.raises(UsageError, match="device"):
         fit(scans, GRID, AtsSettings(steps=2, device="abacus"))
-
-
-def test_a_missing_engine_is_named(scans, monkeypatch) -> None:
-    monkeypatch.setattr(fit_module.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match="torch"):
-        fit(scans, GRID, AtsSettings(steps=2, engine="torch"))
 
 
 @needs_torch
@@ -145,54 +145,45 @@ def test_interpolation_is_that_of_the_field_and_has_its_transpose(features, nati
 
 @compiled
 def test_the_compiled_update_is_that_of_numpy(monkeypatch) -> None:
-    sizes, states = [5, 12, 1], []
-    start = RNG.standard_normal((2, 18)).astype(np.float32)
-    gradients = RNG.standard_normal((3, 18)).astype(np.float32)
-    rates = np.array([0.1, 0.02, 0.3], np.float32)
+    start, *gradients = RNG.standard_normal((4, 18)).astype(np.float32)
+    states = []
     for native in (True, False):
         if not native:
             monkeypatch.setattr(module, "_compiled", None)
-        adam, parameters = Adam.of(sizes), start[0].copy()
+        adam, parameters = Adam.of([5, 12, 1]), start.copy()
         for gradient in gradients:
-            adam.update(parameters, gradient.copy(), rates, 3.0, 0.1)
-        states.append((parameters, adam.first.copy(), adam.second.copy()))
+            adam.update(parameters, gradient.copy(), np.array([0.1, 0.02, 0.3], np.float32), 3.0, 0.1)
+        states.append((parameters, adam.first, adam.second))
     for first, other in zip(*states, strict=True):
         np.testing.assert_allclose(first, other, rtol=1e-5, atol=1e-7)
 
 
 @compiled
 def test_buffers_that_do_not_fit_are_refused() -> None:
-    taps = Taps.of(4, [3])
-    rows = np.zeros((16, 2), np.float32)
-    with pytest.raises(ValueError, match="fit together"):
-        taps.interpolate(np.zeros((15, 2), np.float32), rows)  # 16 vertices
-    with pytest.raises(ValueError, match="fit together"):
-        taps.interpolate(np.zeros((16, 2), np.float32), rows[:3])
+    taps, rows = Taps.of(4, [3]), np.zeros((16, 2), np.float32)
+    for vertices, pixels in ((15, 16), (16, 3)):  # it has 16 of each
+        with pytest.raises(ValueError, match="fit together"):
+            taps.interpolate(np.zeros((vertices, 2), np.float32), rows[:pixels])
     with pytest.raises(ValueError, match="fit together"):
         Adam.of([4]).update(*(np.zeros(3, np.float32) for _ in range(2)), np.ones(1, np.float32), 1.0, 0.1)
 
 
 def test_dark_pixels_are_left_out_and_zero_and_a_late_reflector_joins() -> None:
-    strength = np.zeros((9, 9))
-    strength[4, 4] = 1
-    first = first_support(strength, np.zeros((9, 9)), 0.1)
-    assert first.sum() == 9
-    assert first[3:6, 3:6].all()
-    drawn = np.zeros((9, 9))
+    strength, drawn, residual = np.zeros((3, 9, 9))
+    strength[4, 4], residual[0, 8] = 1, 0.2
+    first = first_support(strength, drawn, 0.1)
+    assert first.sum() == 9 and first[3:6, 3:6].all()
     drawn[0, 0], drawn[8, 0] = 1, 0.01
     assert first_support(strength, drawn, 0.1).sum() == 13  # four about what the first image shows
-    residual = np.zeros((9, 9))
-    residual[0, 8] = 0.2
     later = next_support(strength, residual, 0.1)
-    assert later.sum() == 13  # nine about the bright pixel, four in the corner
-    assert later[0, 8]
+    assert later.sum() == 13 and later[0, 8]  # nine about the bright pixel, four in the corner
     assert not next_support(strength, residual / 4, 0.1)[0, 8]
     assert next_support(np.ones((9, 9)), residual, 0.1).all()
 
 
 def test_the_image_is_zero_outside_the_support() -> None:
     scans = scans_from(record([[0.05, 0.02]], [1], turn(24), noise=0.02), 0.3)
-    result = fit(scans, ImageGrid(0.3, 40), AtsSettings(steps=60))
+    result = fit(scans, ImageGrid(0.3, 40), AtsSettings(steps=30))
     dark = ~result.field.support
     assert dark.mean() > 0.7
     assert not result.image.values[dark].any()

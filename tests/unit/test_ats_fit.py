@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from tagid.capture import Capture
-from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
-from tagid.errors import TagidError, UsageError
-from tagid.geometry import Aperture, ImageGrid
+from tagid.errors import UsageError
+from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.problem import FieldShape, draw_weights
 from tagid.imaging.ats.settings import AtsSettings, FitSettings, parse_settings
@@ -16,56 +17,29 @@ from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import check
 from tagid.imaging.restore import restore
 from tagid.imaging.sparse import sparse_recovery
-from tagid.imaging.types import BasebandScans
-from tagid.waveform import nominal_pulse, pulse_at
+from tagid.imaging.types import BasebandScans, Image
 from tests.unit.imaging_scenes import record, scans_from, turn
+from train.metrics import localise, pick_peaks, psnr, truth_image
 
 GRID = ImageGrid(0.5, 64)
 POINTS = np.array([[0.10, -0.05], [-0.07, 0.12]])
 
 
-def simulate(points: np.ndarray, views: int, noise: float, axis_distance: float = 1.0) -> BasebandScans:
-    """Preprocessed scans of unit points, complex noise of the given standard deviation a raw sample."""
-    rng = np.random.default_rng(5)
-    angles = np.arange(views) * 2 * np.pi / views
-    antenna = Aperture.turntable(angles, axis_distance).positions
-    ranges = axis_distance + np.arange(-0.65, 0.65, RANGE_STEP_M)
-    there = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
-    distance = np.linalg.norm(antenna[:, None] - there[None], axis=2)
-    delay = 2 * (ranges[None, :, None] - distance[:, None, :]) / SPEED_OF_LIGHT
-    echo = pulse_at(nominal_pulse(), delay).sum(axis=2)
-    echo += noise / np.sqrt(2) * (rng.standard_normal(echo.shape) + 1j * rng.standard_normal(echo.shape))
-    capture = Capture(
-        echo.astype(np.complex64), ranges[0], RANGE_STEP_M, angles, axis_distance_m=axis_distance
-    )
+def simulate(points: np.ndarray, views: int, noise: float) -> BasebandScans:
+    """Scans of unit points, complex noise of the given standard deviation a raw sample."""
+    capture = record(points, np.ones(len(points)), turn(views), bins=142, noise=noise, seed=5, analytic=True)
     return scans_from(capture, GRID.extent)
 
 
-def psnr(values: np.ndarray, points: np.ndarray, grid: ImageGrid = GRID) -> float:
-    """Peak-normalised magnitude against 1 cm Gaussians at the points, dB."""
-    square = ((grid.points[:, None] - points[None]) ** 2).sum(axis=2)
-    truth = np.exp(-square / (2 * 0.01**2)).max(axis=1)
-    magnitude = np.abs(values).ravel()
-    return float(-10 * np.log10(np.mean((magnitude / magnitude.max() - truth) ** 2)))
-
-
-def peaks(values: np.ndarray, count: int) -> np.ndarray:
-    """The `count` brightest places more than 4 cm apart, (count, 2) m."""
-    magnitude, result = np.abs(values).ravel().copy(), []
-    for _ in range(count):
-        at = GRID.points[int(np.argmax(magnitude))]
-        result.append(at)
-        magnitude[np.hypot(*(GRID.points - at).T) < 0.04] = 0
-    return np.array(result)
+def quality_db(image: Image) -> float:
+    return psnr(image.values, truth_image(POINTS, GRID))
 
 
 def test_two_points_at_36_views_beat_backprojection() -> None:
     scans = simulate(POINTS, 36, 0.3)
     image = fit(scans, GRID).image
-    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 6
-    result = peaks(image.values, 2)
-    errors = np.linalg.norm(result[:, None] - POINTS[None], axis=2).min(axis=0)
-    assert errors.max() < GRID.step
+    assert quality_db(image) > quality_db(backproject(scans, GRID)) + 6
+    assert localise(pick_peaks(image, 2, 0.04), POINTS, GRID.step).detected == 2
     assert image.values.dtype == np.complex64
     assert image.settings["method"] == "ats"
     assert image.settings["seed"] == 0
@@ -74,7 +48,7 @@ def test_two_points_at_36_views_beat_backprojection() -> None:
 def test_many_views_are_used_in_subsets() -> None:
     scans = simulate(POINTS, 144, 1.0)
     image = restore(fit(scans, GRID, FitSettings(views_per_step=36)).image, scans.wavenumber)
-    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 8
+    assert quality_db(image) > quality_db(backproject(scans, GRID)) + 8
 
 
 def test_the_first_image_is_what_the_field_shows() -> None:
@@ -91,14 +65,14 @@ def test_a_single_point_of_a_full_turn_is_no_ring() -> None:
     for seed, point in enumerate(([0.041, 0.095], [0.095, 0.192], [-0.12, 0.03])):
         truth = np.array([point])
         result = fit(simulate(truth, 360, 0.0), GRID, AtsSettings(seed=seed))
-        assert np.linalg.norm(peaks(result.image.values, 1) - truth) < GRID.step
+        assert np.linalg.norm(pick_peaks(result.image, 1) - truth) < GRID.step
         far = np.linalg.norm(GRID.points - truth, axis=1) > 0.016
         assert np.abs(result.image.values).ravel()[far].max() < 0.1 * np.abs(result.image.values).max()
 
 
 def test_scaling_the_data_scales_the_image_and_another_seed_changes_it() -> None:
     scans = simulate(POINTS, 18, 0.1)
-    louder = BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(1024)})
+    louder = replace(scans, samples=scans.samples * np.float32(1024))
     short = AtsSettings(steps=20)
     first, thousand = fit(scans, GRID, short).image.values, fit(louder, GRID, short).image.values
     np.testing.assert_allclose(thousand / 1024, first, atol=1e-3 * np.abs(first).max())
@@ -107,7 +81,7 @@ def test_scaling_the_data_scales_the_image_and_another_seed_changes_it() -> None
 
 def test_zero_data_gives_a_zero_image() -> None:
     scans = simulate(POINTS, 18, 0.0)
-    dark = BasebandScans(**{**scans.__dict__, "samples": np.zeros_like(scans.samples)})
+    dark = replace(scans, samples=np.zeros_like(scans.samples))
     image = fit(dark, GRID).image
     assert not image.values.any()
     assert image.settings["steps_done"] == 0
@@ -117,7 +91,7 @@ def test_a_silent_subset_of_views_does_no_harm() -> None:
     scans = simulate(POINTS, 72, 0.1)
     samples = scans.samples.copy()
     samples[1::2] = 0
-    image = fit(BasebandScans(**{**scans.__dict__, "samples": samples}), GRID, AtsSettings(steps=20)).image
+    image = fit(replace(scans, samples=samples), GRID, AtsSettings(steps=20)).image
     assert np.isfinite(image.values).all()
 
 
@@ -138,18 +112,13 @@ def test_few_views_get_more_steps_unless_the_number_is_given() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"steps": -1},
-        {"robust": float("nan")},
-        {"spreading": -1.0},
-        {"prior": "coupled"},
-        {"engine": "x"},
+        {"steps": -1}, {"robust": float("nan")}, {"spreading": -1.0}, {"prior": "coupled"}, {"engine": "x"},
         {"calibrate": ("x",)},
     ],
-)
-def test_senseless_settings_are_refused(wrong: dict[str, float]) -> None:
+)  # fmt: skip
+def test_senseless_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UsageError) as caught:
         AtsSettings(**wrong)
-    assert isinstance(caught.value, TagidError)
     assert caught.value.remedy
 
 

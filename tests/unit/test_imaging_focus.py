@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from imaging_scenes import BANDWIDTH, FC, C, record, scans_from, turn
 
 from tagid.capture import Capture
 from tagid.errors import UsageError
@@ -30,6 +29,7 @@ from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.storage.hdf5 import write_capture
+from tests.unit.imaging_scenes import BANDWIDTH, FC, C, record, scans_from, turn
 
 GRID = ImageGrid(0.4, 64)
 POINTS = [(0.05, 0.03), (-0.04, 0.06)]
@@ -83,10 +83,12 @@ def test_every_part_of_the_band_gets_the_delay_of_its_echo(edge_wavelengths: flo
 
 
 def test_an_echo_of_one_delay_tells_the_axis_and_one_that_resonates_does_not() -> None:
-    error = 0.2 * LAM
-    _, plain = focus_axis_distance(scans_of(resonant(0.0, error)), GRID)
-    assert plain.reliable
-    assert plain.axis_distance_m == pytest.approx(1.0, abs=0.02 * LAM)
+    for error in (-0.2 * LAM, 0.2 * LAM):
+        focused, plain = focus_axis_distance(scans_of(resonant(0.0, error)), GRID)
+        assert plain.reliable and plain.contrast > 1
+        assert plain.axis_distance_m == pytest.approx(1.0, abs=0.02 * LAM)
+        assert plain.offset_m == pytest.approx(-error, abs=0.02 * LAM)
+        assert focused.aperture.axis_distance == plain.axis_distance_m
     same, focus = focus_axis_distance(scans_of(resonant(0.4 * LAM, error)), GRID)
     assert not focus.reliable
     assert focus.reason == "the parts of the band do not agree on one distance"
@@ -151,7 +153,7 @@ def test_the_search_is_made_once_for_a_prepared_capture() -> None:
 
 def test_a_distance_beyond_the_search_is_found_by_a_wider_one(tagid: Any, tmp_path: Path) -> None:
     """1.2 wavelengths off; the command that can widen the search says so, and no other."""
-    recorded = record(POINTS, [1.0, 0.7], turn(120), noise=0.05, start_m=0.2, bins=220)
+    recorded = record(POINTS, [1.0, 0.7], turn(60), noise=0.05, start_m=0.2, bins=220)
     capture = turned(recorded, 1.0 + 1.2 * LAM)
     settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none", held_out=False)
     near = reconstruct(capture, settings, tell_outside=False).focus

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +13,9 @@ from tagid.imaging.pulsefit import estimate_pulse
 from tagid.simulate import Acquisition, Scene, simulate_capture
 from tagid.storage.importers import read_any
 from tagid.waveform import nominal_pulse, pulse_at
+from tests.benchmarks.provenance import SHARED
 
 GRID = ImageGrid(0.5, 72)
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
 RECORDED = SHARED / "data" / "p440"
 POINTS = np.array([[0.12, -0.05], [-0.08, 0.13], [0.02, 0.18]])
 

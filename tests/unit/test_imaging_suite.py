@@ -1,5 +1,5 @@
 """One suite for every linear map of the imaging, which joins by an entry in `MAPS`: adjoint and linearity;
-and where backprojection puts a point."""
+the forward operator against the echo of the formula; and where backprojection puts a point."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from imaging_scenes import helix, record, turn
 
+from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging import kernel
+from tagid.imaging import kernel, memory
+from tagid.imaging import operator as operator_module
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.farfield import polar_format
 from tagid.imaging.kernel import RangeGeometry
-from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.operator import ForwardOperator, fine_range
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
+from tests.unit.imaging_scenes import helix, record, scans_from, turn
 
 GRID = ImageGrid(0.3, 18)
 PIXELS = GRID.pixels**2
@@ -41,8 +43,7 @@ class Map:
 
 
 def scans_of(aperture: Aperture, matched: bool = False) -> BasebandScans:
-    settings = PreprocessSettings("none", matched, extent_m=GRID.extent)
-    return preprocess(record(POINTS, [1.0, 2.0, 0.5], aperture), settings=settings)
+    return scans_from(record(POINTS, [1.0, 2.0, 0.5], aperture), GRID.extent, matched=matched)
 
 
 def operator_map(aperture: Aperture, views: np.ndarray | None = None) -> Map:
@@ -57,26 +58,17 @@ def slope_map() -> Map:
 
 
 def kernel_map(compiled: bool, pair: bool = False, high: bool = False) -> Map:
-    single = helix(11)
-    aperture = (
-        Aperture.two_antennas(single.positions, single.positions + np.array([0.1, -0.1, 0.05]))
-        if pair
-        else single
-    )
+    aperture = helix(11)
+    if pair:
+        aperture = Aperture.two_antennas(aperture.positions, aperture.positions + np.array([0.1, -0.1, 0.05]))
     heights = np.random.default_rng(1).uniform(-0.2, 0.2, PIXELS)
     points = np.column_stack([GRID.points, heights]) if high else GRID.points
 
-    def engine() -> RangeGeometry:
-        return RangeGeometry.of(aperture, points, (0.7, 0.002), 400)
-
     def run(job: Callable[[RangeGeometry], np.ndarray]) -> np.ndarray:
-        before = kernel._compiled
-        if not compiled:
-            kernel._compiled = None
-        try:
-            return job(engine())
-        finally:
-            kernel._compiled = before
+        with pytest.MonkeyPatch.context() as patch:
+            if not compiled:
+                patch.setattr(kernel, "_compiled", None)
+            return job(RangeGeometry.of(aperture, points, (0.7, 0.002), 400))
 
     return Map(
         PIXELS,
@@ -87,10 +79,9 @@ def kernel_map(compiled: bool, pair: bool = False, high: bool = False) -> Map:
 
 def image_map(method: Callable[[BasebandScans, ImageGrid], object]) -> Map:
     scans = scans_of(APERTURES["turntable"], matched=True)
-    shape = scans.samples.shape
 
     def forward(x: np.ndarray) -> np.ndarray:
-        samples = np.asarray(x, np.complex64).reshape(shape)
+        samples = np.asarray(x, np.complex64).reshape(scans.samples.shape)
         return method(replace(scans, samples=samples), GRID).values  # type: ignore[attr-defined]
 
     return Map(scans.samples.size, forward)
@@ -158,41 +149,131 @@ def test_adjoint(name: str) -> None:
     assert abs(left - right) < 1e-5 * np.linalg.norm(y) * np.linalg.norm(seen)
 
 
+def matrix_of(operator: ForwardOperator) -> np.ndarray:
+    """(views * bins, points), column by column."""
+    units = (operator.among(np.arange(operator.points) == point) for point in range(operator.points))
+    return np.stack([unit.forward(np.ones(1)).ravel() for unit in units], axis=1)
+
+
+@pytest.fixture(params=["turntable", "raised", "free"])
+def scans(request: pytest.FixtureRequest) -> BasebandScans:
+    return scans_of(APERTURES[request.param])
+
+
+@pytest.mark.parametrize("what", ["grid", "points", "some views"])
+def test_the_operator_is_the_sum_of_its_columns_and_its_norm_bounds_it(
+    scans: BasebandScans, what: str
+) -> None:
+    operator = ForwardOperator(scans, POINTS if what == "points" else GRID)
+    if what == "some views":
+        operator = operator.select(np.array([19, 3, 3, 11]))
+    x, matrix = noise(2, operator.points), matrix_of(operator)
+    y = operator.forward(x)
+    assert y.dtype == operator.adjoint(y).dtype == np.complex64
+    assert operator.shape == (y.size, operator.points) and y.shape == (operator.views, operator.bins)
+    assert np.abs(matrix @ x - y.ravel()).max() < 1e-5 * np.abs(y).max()
+    largest = np.linalg.eigvalsh(matrix.conj().T @ matrix)[-1]
+    assert 0.9 * largest < operator.norm_squared < 1.001 * largest
+
+
+def test_what_the_bins_cannot_see_has_no_norm() -> None:
+    scans = scans_of(turn(20))
+    assert ForwardOperator(replace(scans, range_start_m=90.0), GRID).norm_squared == 0.0
+    assert ForwardOperator(scans, GRID).norm_squared == ForwardOperator(scans, GRID).norm_squared > 0
+
+
+def test_the_fine_range_holds_all_points_in_steps_of_the_stated_phase(scans: BasebandScans) -> None:
+    """One step more on either side, so that each point lies between two samples, and none is wasted."""
+    start, step, bins = fine_range(scans, POINTS)
+    assert step == pytest.approx(0.2 / (2 * scans.wavenumber))
+    away = scans.aperture.distances(POINTS)
+    reach = np.hypot(*POINTS.T).max()
+    assert start <= away.min() - step * 0.99
+    assert start + step * (bins - 1) >= away.max() + step * 0.99
+    assert step * bins <= 2 * reach + np.ptp(np.linalg.norm(scans.aperture.positions, axis=1)) + 4 * step
+    coarse = replace(scans, range_step_m=step / 3)
+    assert fine_range(coarse, POINTS)[1] == step / 3
+
+
+def test_the_model_and_its_slope_are_those_of_the_formula(scans: BasebandScans) -> None:
+    """0.33 % are lost without the gain; what stays is the scatter that the module states, 0.15 % rms.
+
+    The slope is the difference of two models over 20 um of distance, in amplitude and in phase.
+    """
+    rng = np.random.default_rng(8)
+    for point in rng.uniform(-0.15, 0.15, (12, 2)):
+        away = np.linalg.norm(scans.aperture.positions - np.append(point, 0.0), axis=1)[:, None]
+
+        def echo(distance: np.ndarray) -> np.ndarray:
+            return scans.response(scans.ranges_m - distance) * np.exp(-2j * scans.wavenumber * distance)
+
+        operator, exact = ForwardOperator(scans, point[None]), echo(away)
+        model, slope = operator.forward(np.ones(1)), operator.slope(np.ones(1))
+        assert abs(np.vdot(exact, model) / np.vdot(exact, exact) - 1) < 1e-3
+        assert np.linalg.norm(model - exact) < 2.5e-3 * np.linalg.norm(exact)
+        steep = (echo(away + 1e-5) - echo(away - 1e-5)) / 2e-5
+        assert np.linalg.norm(slope - steep) < 0.01 * np.linalg.norm(steep)
+        assert abs(np.vdot(steep, slope) / np.vdot(steep, steep) - 1) < 4e-3
+
+
+def test_chosen_views_are_rows_of_the_whole(scans: BasebandScans) -> None:
+    whole = ForwardOperator(scans, GRID)
+    x = noise(3, whole.points)
+    for views in (slice(1, None, 3), np.array([18, 2, 17])):
+        assert np.allclose(whole.select(views).forward(x), whole.forward(x)[views], atol=1e-4)
+
+
+def test_too_large_is_refused_before_memory_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free_memory", lambda: 100_000)
+    with pytest.raises(UsageError, match="GB") as caught:
+        ForwardOperator(scans_of(turn(20)), GRID)
+    assert "fewer views" in caught.value.remedy
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 4)), np.zeros(4), np.full((2, 2), np.nan)])
+def test_points_must_be_points(points: np.ndarray) -> None:
+    with pytest.raises(UsageError, match="points"):
+        ForwardOperator(scans_of(turn(20)), points)
+
+
+def test_the_blocks_of_a_long_window_are_the_whole_operator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only bins near a fine range are kept; what is left out is zero."""
+    path = Aperture(np.stack([np.linspace(-3, 3, 9), np.full(9, -6.0), np.ones(9)], axis=1))
+    scans = scans_from(record([[0.5, 0.1], [-2.0, 1.5]], [1.0, 0.7], path, start_m=2.0, bins=900), 5.0)
+    points = np.random.default_rng(3).uniform(-2.5, 2.5, (40, 2))
+    banded = ForwardOperator(scans, points)
+    monkeypatch.setattr(operator_module, "_BANDED_FROM", np.inf)
+    whole = ForwardOperator(scans, points)
+    assert len(banded._spread.blocks) > 3 and len(whole._spread.blocks) == 1
+    x = noise(4, 40)
+    for method, values in (("forward", x), ("slope", x), ("adjoint", scans.samples)):
+        first, other = getattr(banded, method)(values), getattr(whole, method)(values)
+        assert np.abs(first - other).max() < 1e-5 * np.abs(other).max()
+
+
 WIDE = ImageGrid(0.5, 100)
-
-
-def image_of(points, amplitudes, aperture, matched=True):
-    settings = PreprocessSettings(background="none", matched_filter=matched)
-    return backproject(preprocess(record(points, amplitudes, aperture), settings=settings), WIDE)
 
 
 @pytest.mark.parametrize(
     "aperture", [turn(72), turn(72, 1.2, 0.5), helix(72)], ids=["turntable", "raised", "free"]
 )
 @pytest.mark.parametrize("matched", [True, False])
-def test_a_point_peaks_at_its_place_with_its_amplitude(aperture, matched):
+def test_a_point_peaks_at_its_place_with_its_amplitude(aperture: Aperture, matched: bool) -> None:
     # An asymmetric place on a pixel centre: a mirrored or transposed image would put it elsewhere.
     row, column = 27, 65
-    point = (WIDE.axis[column], WIDE.axis[row])
-    image = image_of([point], [2.5], aperture, matched=matched)
+    capture = record([(WIDE.axis[column], WIDE.axis[row])], [2.5], aperture)
+    image = backproject(scans_from(capture, WIDE.extent, matched=matched), WIDE)
     assert image.values.dtype == np.complex64
     assert np.unravel_index(np.abs(image.values).argmax(), image.values.shape) == (row, column)
     assert image.values[row, column] == pytest.approx(2.5, rel=0.01)
 
 
-def test_exact_sum_of_the_definition():
+def test_exact_sum_of_the_definition() -> None:
     """f(p) = 1/V sum_v z_v(d) exp(2jkd), z the response itself: upsampling and rounding add < 1 %."""
-    aperture, point = turn(90), np.array([0.06, -0.13])
-    settings = PreprocessSettings(background="none")
-    scans = preprocess(record([point], [1.0], aperture), settings=settings)
-    grid = ImageGrid(0.4, 40)
-    d = np.linalg.norm(aperture.positions[None, :, :2] - grid.points[:, None], axis=2)
-    base = np.linalg.norm(aperture.positions[:, :2] - point, axis=1)
-    truth = (scans.response(d - base) * np.exp(2j * scans.wavenumber * (d - base))).mean(axis=1)
-    assert np.abs(backproject(scans, grid).values.ravel() - truth).max() < 0.01
-
-
-def test_pixels_outside_the_data_are_zero():
-    scans = preprocess(record([(0.0, 0.1)], [1.0], turn(8)), settings=PreprocessSettings(extent_m=0.3))
-    image = backproject(scans, ImageGrid(40.0, 16))
-    assert image.values[0, 0] == 0
+    aperture, point, grid = turn(90), np.array([[0.06, -0.13]]), ImageGrid(0.4, 40)
+    scans = scans_from(record(point, [1.0], aperture), 0.5, matched=True)
+    off = (aperture.distances(grid.points) - aperture.distances(point)).T
+    truth = (scans.response(off) * np.exp(2j * scans.wavenumber * off)).mean(axis=1)
+    image = backproject(scans, grid)
+    assert np.abs(image.values.ravel() - truth).max() < 0.01
+    assert backproject(scans, ImageGrid(40.0, 16)).values[0, 0] == 0, "beyond the data"

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
@@ -35,12 +36,19 @@ def captures(noise: float = 0.02, apart: float = 0.0) -> list[Capture]:
     """A turn of 24 views from each height, each with a room of its own that does not turn."""
     results = []
     for number, height in enumerate(HEIGHTS):
-        recorded = record(
-            POINTS, [1, 0.8, 1], turn(24, 1.0, height, apart), start_m=0.6, noise=noise, seed=number
-        )
+        aperture = turn(24, 1.0, height, apart)
+        recorded = record(POINTS, [1, 0.8, 1], aperture, start_m=0.6, noise=noise, seed=number)
         room = 3 * np.sin(np.arange(recorded.bins) * (0.3 + 0.05 * number))
         results.append(replace(recorded, samples=(recorded.samples + room).astype(np.float32)))
     return results
+
+
+def without_room(points: object, amplitudes: list[float]) -> Capture:
+    """All heights joined, without noise or room."""
+    return join([record(points, amplitudes, turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+
+
+LOW = VolumeSettings("bp", 0.24, 16, (-0.12, 0.12), 4, held_out=False)
 
 
 def brightest(values: np.ndarray, grid: VolumeGrid, count: int, apart_m: float) -> np.ndarray:
@@ -71,7 +79,7 @@ def test_a_volume_beyond_the_ranges_is_refused_and_one_of_coarse_voxels_warned_o
     joined = join(captures())
     with pytest.raises(UsageError, match="beyond the recorded ranges"):
         reconstruct_volume(joined, VolumeSettings("bp", 40.0, 32))
-    coarse = VolumeSettings("bp", 0.8, 16, (-0.05, 0.05), 2, held_out=False)
+    coarse = replace(LOW, extent_m=0.8, heights_m=(-0.05, 0.05), levels=2)
     assert "coarser" in reconstruct_volume(joined, coarse).volume.settings["warnings"][0]
     fine = replace(coarse, extent_m=0.24)
     assert "warnings" not in reconstruct_volume(joined, fine).volume.settings
@@ -80,9 +88,8 @@ def test_a_volume_beyond_the_ranges_is_refused_and_one_of_coarse_voxels_warned_o
 def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same in one block and in many, compiled or not, and for a point 1 at its voxel."""
     place = GRID.points()[1000]
-    joined = join([record([place], [1.0], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
     settings = PreprocessSettings("none", True, extent_m=0.24, heights_m=(-0.12, 0.12))
-    scans = preprocess(joined, settings=settings)
+    scans = preprocess(without_room([place], [1.0]), settings=settings)
     whole = backproject_volume(scans, GRID)
     assert np.argmax(np.abs(whole.values)) == 1000
     assert abs(whole.values.ravel()[1000]) == pytest.approx(1, abs=0.02)
@@ -99,7 +106,7 @@ def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.Monke
 
 def test_a_fit_begins_as_the_backprojection_and_ends_below_it(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
-    joined = join([record(POINTS, [1, 0.8, 1], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+    joined = without_room(POINTS, [1, 0.8, 1])
     scans = preprocess(joined, settings=settings)
     matched = preprocess(joined, settings=replace(settings, matched_filter=True))
     calls: list[float] = []
@@ -135,11 +142,8 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     first = rng.standard_normal(27) + 1j * rng.standard_normal(27)
     field = Field.carrying(first, at, 2.0)
     values = field.evaluate(field.layers()[-1])
-    np.testing.assert_allclose(
-        values,
-        2 * (at[1].read(first.real[None]) + 1j * at[1].read(first.imag[None]))[0],
-        atol=0.2 * np.abs(values).max(),
-    )
+    expected = 2 * (at[1].read(first.real[None]) + 1j * at[1].read(first.imag[None]))[0]
+    np.testing.assert_allclose(values, expected, atol=0.2 * np.abs(values).max())
     target = (rng.standard_normal(40) + 1j * rng.standard_normal(40)).astype(np.complex64)
 
     def loss(single: Field) -> float:
@@ -191,15 +195,20 @@ def test_joined_captures_keep_their_positions_and_heights() -> None:
     assert joined.complete and not join([*parts[:2], replace(parts[2], complete=False)]).complete
 
 
-def test_files_are_read_back(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def made() -> volume.Volume:
+    """A bright voxel among others that all differ, so that a wrong order of the axes shows."""
     rng = np.random.default_rng(0)
     values = (rng.standard_normal((12, 24, 24)) + 1j * rng.standard_normal((12, 24, 24))).astype(np.complex64)
     values[3, 10, 20] = 100
-    made = volume.Volume(values, GRID, {"method": "bp"})
-    for name in ("v.npz", "v.vti", "v.ply"):
+    return volume.Volume(values, GRID, {"method": "bp"})
+
+
+def test_files_are_read_back(tmp_path: Path, made: volume.Volume) -> None:
+    for name in ("v.npz", "v.ply"):
         write_volume(tmp_path / name, made)
     with np.load(tmp_path / "v.npz") as file:
-        np.testing.assert_array_equal(file["volume"], values)
+        np.testing.assert_array_equal(file["volume"], made.values)
         np.testing.assert_allclose(file["z_m"], GRID.heights)
     head, _, body = (tmp_path / "v.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1\n" in head
@@ -208,10 +217,8 @@ def test_files_are_read_back(tmp_path: Path) -> None:
     assert (x, y, z) == pytest.approx((axis[20], axis[10], GRID.heights[3]), rel=1e-6)
     assert magnitude == 100
     axes = GRID.square.axis, GRID.heights
-    draw_projections(values, *axes, tmp_path / "v.png", "three views")
-    write_turning(values, *axes, tmp_path / "v.webp")
-    from PIL import Image
-
+    draw_projections(made.values, *axes, tmp_path / "v.png", "three views")
+    write_turning(made.values, *axes, tmp_path / "v.webp")
     with Image.open(tmp_path / "v.png") as picture, Image.open(tmp_path / "v.webp") as film:
         assert picture.size[0] > picture.size[1]
         assert film.n_frames == 48
@@ -219,15 +226,10 @@ def test_files_are_read_back(tmp_path: Path) -> None:
         write_volume(tmp_path / "v.stl", made)
 
 
-def complex_ramp() -> np.ndarray:
-    """Values that differ in every voxel, so that a wrong order of the axes shows."""
-    return (np.arange(1, 12 * 24 * 24 + 1).reshape(12, 24, 24) * np.exp(0.7j)).astype(np.complex64)
-
-
-def test_the_vti_file_is_what_its_format_says(tmp_path: Path) -> None:
+def test_the_vti_file_is_what_its_format_says(tmp_path: Path, made: volume.Volume) -> None:
     """Read by the format's document: raw appended data after an underscore, each array after its 64-bit
     length."""
-    write_volume(tmp_path / "v.vti", volume.Volume(complex_ramp(), GRID, {}))
+    write_volume(tmp_path / "v.vti", made)
     head, _, rest = (tmp_path / "v.vti").read_bytes().partition(b'<AppendedData encoding="raw">\n_')
     root = ElementTree.fromstring(head + b'<AppendedData encoding="raw">_</AppendedData></VTKFile>')
     image = root.find("ImageData")
@@ -239,21 +241,17 @@ def test_the_vti_file_is_what_its_format_says(tmp_path: Path) -> None:
         at = int(array.attrib["offset"])
         (length,) = struct.unpack_from("<Q", rest, at)
         arrays[array.attrib["Name"]] = np.frombuffer(rest, "<f4", length // 4, at + 8).reshape(12, 24, 24)
-    np.testing.assert_allclose(arrays["magnitude"] * np.exp(1j * arrays["phase"]), complex_ramp(), rtol=1e-5)
+    np.testing.assert_allclose(arrays["magnitude"] * np.exp(1j * arrays["phase"]), made.values, rtol=1e-5)
 
 
-def test_pyvista_reads_the_volume(tmp_path: Path) -> None:
+def test_pyvista_reads_the_volume(tmp_path: Path, made: volume.Volume) -> None:
     pyvista = pytest.importorskip("pyvista", reason="pip install '.[vtk]' checks the file with VTK")
-    write_volume(tmp_path / "v.vti", volume.Volume(complex_ramp(), GRID, {}))
+    write_volume(tmp_path / "v.vti", made)
     image = pyvista.read(tmp_path / "v.vti")
-    assert image.dimensions == (24, 24, 12)
-    assert image.spacing == pytest.approx((0.01, 0.01, 0.02))
+    assert (image.dimensions, image.spacing) == ((24, 24, 12), pytest.approx((0.01, 0.01, 0.02)))
     assert image.origin == pytest.approx((GRID.square.axis[0], GRID.square.axis[0], GRID.heights[0]))
     magnitude, phase = (np.asarray(image[name]).reshape(12, 24, 24) for name in ("magnitude", "phase"))
-    np.testing.assert_allclose(magnitude * np.exp(1j * phase), complex_ramp(), rtol=1e-5)
-    # x runs fastest: the voxel at the far end of x is where its place says.
-    place = image.points[23]
-    assert place == pytest.approx((GRID.square.axis[-1], GRID.square.axis[0], GRID.heights[0]))
+    np.testing.assert_allclose(magnitude * np.exp(1j * phase), made.values, rtol=1e-5)
     blob = np.exp(-(np.linalg.norm(GRID.points(), axis=1) ** 2) / 0.05**2).reshape(12, 24, 24)
     write_surface(tmp_path / "s.ply", volume.Volume(blob.astype(np.complex64), GRID, {}))
     mesh = pyvista.read(tmp_path / "s.ply")
@@ -281,12 +279,10 @@ def test_a_surface_is_closed_and_faces_outwards() -> None:
 
 
 def test_from_the_command_line(tagid, tmp_path: Path) -> None:
-    names = []
-    for number, height in enumerate((0.0, 0.2)):
-        names.append(f"{number}.tagid.h5")
-        words = ("--views", 24, "--antenna-height", height, "--elevation", "0.05m", "--seed", 3)
-        assert tagid("simulate", "points-3", *words, "--out", names[-1]).code == 0
-    joined = tagid("join", *names, "--out", "all.npz", "--output", "json")
+    common = ("--views", 24, "--elevation", "0.05m", "--seed", 3)
+    for name, height in (("low.npz", 0.0), ("high.npz", 0.2)):
+        assert tagid("simulate", "points-3", *common, "--antenna-height", height, "--out", name).code == 0
+    joined = tagid("join", "low.npz", "high.npz", "--out", "all.npz", "--output", "json")
     assert joined.code == 0, joined.err
     assert joined.json["data"]["heights_m"] == pytest.approx([0.0, 0.2])
     words = ("--method", "sparse", "--extent", 0.3, "--pixels", 32, "--heights", "-0.1,0.15", "--levels", 5)
@@ -309,11 +305,11 @@ def test_from_the_command_line(tagid, tmp_path: Path) -> None:
 
 def test_levels_sample_the_vertical_resolution_three_times_and_are_no_thinner_than_a_pixel() -> None:
     joined = join(captures())
-    fine = reconstruct_volume(joined, VolumeSettings("bp", 0.24, 48, (-0.12, 0.12), held_out=False)).volume
+    fine = reconstruct_volume(joined, replace(LOW, pixels=48, levels=None)).volume
     # lambda R / (2 H) at 1 m of antennas that reach over 0.4 m.
     resolution_m = 299_792_458 / 3.95e9 / (2 * 0.4)
     assert resolution_m / 4 < fine.grid.rise < resolution_m / 2.5
-    coarse = reconstruct_volume(joined, VolumeSettings("bp", 0.24, 4, (-0.12, 0.12), held_out=False)).volume
+    coarse = reconstruct_volume(joined, replace(LOW, pixels=4, levels=None)).volume
     assert coarse.grid.rise >= coarse.grid.square.step
 
 
@@ -335,9 +331,9 @@ def test_a_sparse_volume_is_refused_where_less_memory_is_free_than_it_takes(
 
 @pytest.mark.parametrize(("method", "place"), [("sparse", [0.02, 0.03, 0.26]), ("ats", [0.30, 0.05, 0.0])])
 def test_a_strong_reflector_outside_a_volume_leaves_its_faces_dark(method: str, place: list[float]) -> None:
-    points, amplitudes = [*POINTS.tolist(), place], [1, 0.8, 1, 3]
+    points = [*POINTS.tolist(), place]
     heights = np.linspace(-0.2, 0.2, 9)
-    some = [record(points, amplitudes, turn(24, 1.0, height), start_m=0.4, bins=160) for height in heights]
+    some = [record(points, [1, 0.8, 1, 3], turn(16, 1.0, h), start_m=0.4, bins=160) for h in heights]
     made = reconstruct_volume(join(some), VolumeSettings(method, 0.24, 24, (-0.12, 0.12), 12)).volume
     power = np.abs(made.values) ** 2
     assert power[1:-1, 2:-2, 2:-2].sum() > 0.9 * power.sum()
@@ -350,22 +346,20 @@ def test_a_strong_reflector_outside_a_volume_leaves_its_faces_dark(method: str, 
 def test_a_volume_about_another_centre_shows_the_same_places(tmp_path: Path) -> None:
     joined = join(captures())
     assert joined.antenna_positions_m is not None
-    settings = VolumeSettings("bp", 0.24, 24, (-0.12, 0.12), 12, held_out=False)
-    about = reconstruct_volume(joined, settings).volume
+    about = reconstruct_volume(joined, LOW).volume
     moved = joined.shifted(np.array([-3.0, 2.0, 0.0]))
-    there = reconstruct_volume(moved, replace(settings, centre_m=(3.0, -2.0))).volume
+    there = reconstruct_volume(moved, replace(LOW, centre_m=(3.0, -2.0))).volume
     np.testing.assert_allclose(there.values, about.values, atol=1e-4)
     write_volume(tmp_path / "v.npz", there)
     stored = np.load(tmp_path / "v.npz")
     np.testing.assert_allclose([stored["x_m"].mean(), stored["y_m"].mean()], [3.0, -2.0])
-    np.testing.assert_allclose(np.diff(stored["x_m"]), 0.01)
+    np.testing.assert_allclose(np.diff(stored["x_m"]), 0.24 / 16)
 
 
 def test_copies_of_the_scene_in_height_are_warned_of() -> None:
     """Antennas 0.1 m apart at 1 m: the copies are about half a wavelength over 0.1 apart."""
-    low = VolumeSettings("bp", 0.24, 16, (-0.12, 0.12), 4, held_out=False)
-    high = replace(low, heights_m=(-0.3, 0.3), levels=8)
+    high = replace(LOW, heights_m=(-0.3, 0.3), levels=8)
     joined = join(captures())
-    assert "warnings" not in reconstruct_volume(joined, low).volume.settings
+    assert "warnings" not in reconstruct_volume(joined, LOW).volume.settings
     (words,) = reconstruct_volume(joined, high).volume.settings["warnings"]
     assert "the scene shows again 0.42 m above and below itself" in words and "5 antenna heights" in words

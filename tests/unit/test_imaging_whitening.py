@@ -27,14 +27,8 @@ LAYOUTS = builtin_layouts()
 
 def scans_of(noise: NoiseShape, snr_db: float = 10.0, seed: int = 0, body: str = "none") -> BasebandScans:
     """A turn of 36 views of container-90 with 20 mm octahedra, 6 mm off the axis."""
-    layout = LAYOUTS["container-90"]
-    scene = object_scene(
-        "tagged",
-        layout.positions,
-        parse_body(body),
-        ReflectorSpec("octahedron", 0.020),
-        rng=np.random.default_rng(seed),
-    )
+    positions, rng = LAYOUTS["container-90"].positions, np.random.default_rng(seed)
+    scene = object_scene("tagged", positions, parse_body(body), ReflectorSpec("octahedron", 0.020), rng=rng)
     acquisition = Acquisition(views=36, snr_db=snr_db, noise=noise, placement=Placement((0.006, 0.0), 0.7))
     return preprocess(simulate_capture(scene, acquisition, seed)[0], settings=SETTINGS)
 
@@ -85,7 +79,7 @@ def test_whitened_noise_has_one_density_and_echoes_keep_their_model() -> None:
 
 def lead(scans: BasebandScans) -> float:
     """Of container-90 over whatever has no tag, among few bodies, nats."""
-    some = contest(scans, list(LAYOUTS.values()))
+    some = contest(scans, [LAYOUTS["container-90"], LAYOUTS["container-180"]])
     some.transfers, some.sheets = (BARE, POINTS, *WALLS[:2], SHADES[1]), ()
     hypotheses = some.run()
     best = decide(hypotheses).best

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.capture import Capture
 from tagid.enrolling.field import MatchedField
 from tagid.errors import DataError
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging import kernel
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import FitSettings
 from tagid.imaging.backprojection import backproject, upsample_at_carrier
@@ -26,7 +24,7 @@ from tagid.pipeline.settings import ImagingSettings
 from tagid.reading.views import fold_views
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
 from tagid.storage.importers import read_any
-from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+from tests.unit.imaging_scenes import record, turn
 from train.metrics import pick_peaks
 
 GOLDEN = Path(__file__).parents[1] / "data" / "captures"
@@ -62,37 +60,9 @@ def test_ranges_are_half_the_way_over_the_point() -> None:
         Aperture(np.ones((3, 3)), half_baseline=np.ones((2, 3)))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_the_kernel_reads_at_the_exact_range(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not compiled:
-        monkeypatch.setattr(kernel, "_compiled", None)
-    elif not kernel.is_compiled():
-        pytest.skip("no compiler was present at installation")
-    aperture = turn(9, 1.0, 0.3, APART_M)
-    points = np.column_stack([POINTS, [0.1, -0.2, 0.05]])
-    for there in (POINTS, points):
-        place = RangeGeometry.of(aperture, there, (0.7, 0.002), 400)
-        ramp = np.tile(np.arange(400.0), (9, 1)).astype(np.complex64)  # its value is the range in bins
-        result = place.gather(ramp).real * 0.002 + 9 * 0.7
-        np.testing.assert_allclose(result, aperture.distances(there).sum(axis=0), atol=2e-5)
-
-
 def test_scans_of_the_operator_are_those_of_the_exact_paths() -> None:
-    """Through the whole preprocessing, against pulses put at the ranges of the room."""
-    angles = np.arange(24) * 2 * np.pi / 24
-    ranges = 0.4 + STEP_M * np.arange(130)
-    distance = np.array([in_the_room(a, 0.3, POINTS) for a in angles])
-    samples = analytic_echo(ranges[None, :, None] - distance[:, None, :]).sum(axis=2).real
-    capture = Capture(
-        samples.astype(np.float32),
-        0.4,
-        STEP_M,
-        angles,
-        axis_distance_m=1.0,
-        antenna_height_m=0.3,
-        antenna_separation_m=APART_M,
-    )
-    scans = preprocess(capture, settings=PLAIN)
+    """Through the whole preprocessing; the ranges of the scans are those of the room, tested above."""
+    scans = preprocess(record(POINTS, [1, 1, 1], turn(24, 1.0, 0.3, APART_M), start_m=0.4), settings=PLAIN)
     model = ForwardOperator(scans, POINTS).forward(np.ones(3))
     assert np.abs(model - scans.samples).max() < 0.01 * np.abs(scans.samples).max()
     alone = scans.with_aperture(turn(24, 1.0, 0.3))
@@ -102,10 +72,8 @@ def test_scans_of_the_operator_are_those_of_the_exact_paths() -> None:
 
 def test_every_engine_of_the_fit_takes_both_antennas() -> None:
     scans = preprocess(record(POINTS, [1, 1, 1], turn(36, apart=APART_M), noise=0.02), settings=PLAIN)
-    grid = ImageGrid(0.4, 56)
-    pair, alone = (
-        fit(s, grid, FitSettings(held_out=0.1)).held_out for s in (scans, scans.with_aperture(turn(36)))
-    )
+    grid, settings = ImageGrid(0.4, 56), FitSettings(held_out=0.1)
+    pair, alone = (fit(s, grid, settings).held_out for s in (scans, scans.with_aperture(turn(36))))
     assert pair < 0.1
     assert alone > 2 * pair
 
@@ -136,18 +104,14 @@ def test_ignoring_the_second_antenna_costs_millimetres() -> None:
 
 
 def test_a_path_of_pairs_is_imaged_where_the_echoes_are() -> None:
-    x = np.linspace(-1.2, 1.2, 160)
-    single = np.stack([x, np.zeros(160), np.zeros(160)], axis=1)
-    other = single + np.array([0.3, 0.0, 0.1])
-    point = np.array([0.3, 1.8, 0.0])
-    distance = (np.linalg.norm(single - point, axis=1) + np.linalg.norm(other - point, axis=1)) / 2
-    samples = analytic_echo(STEP_M * np.arange(500) - distance[:, None]).real.astype(np.float32)
-    capture = Capture(samples, 0.0, STEP_M, antenna_positions_m=single, receive_positions_m=other)
+    single = np.column_stack([np.linspace(-1.2, 1.2, 160), np.zeros((160, 2))])
+    pairs = Aperture.two_antennas(single, single + np.array([0.3, 0.0, 0.1]))
+    capture = record([[0.3, 1.8]], [1.0], pairs, start_m=0.0, bins=500)
     region = choose_region(capture, ImageGrid(0.5, 64), None, 0.0, "none", free_extent=True, free_pixels=True)
     assert np.hypot(region.points[0].x_m - 0.3, region.points[0].y_m - 1.8) < 0.02
     scans = preprocess(region.capture, settings=PreprocessSettings("none", True, extent_m=region.grid.extent))
     place = pick_peaks(backproject(scans, region.grid), 1)[0] + np.array(region.centre_m)
-    assert np.hypot(*(place - point[:2])) < 0.01
+    assert np.hypot(*(place - [0.3, 1.8])) < 0.01
 
 
 def test_reader_and_simulator_know_both_antennas() -> None:
