@@ -24,10 +24,13 @@ CONTRACT = Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {})
 
 
 def seen_points(points: np.ndarray, snr_db: float = 20.0, scale: complex = 1.0) -> NetworkInput:
-    capture, _ = simulate_capture(Scene.of_points(points), Acquisition(views=36, snr_db=snr_db), seed=4)
+    return seen(Scene.of_points(points), 4, snr_db, scale)
+
+
+def seen(scene: Scene, seed: int, snr_db: float, scale: complex = 1.0) -> NetworkInput:
+    capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=snr_db), seed=seed)
     scans = preprocess(capture)
-    image = backproject(scans, GRID)
-    values = (image.values * scale).astype(np.complex64)
+    values = (backproject(scans, GRID).values * scale).astype(np.complex64)
     return NetworkInput.of(Image(values, GRID), scans)
 
 
@@ -53,8 +56,7 @@ def test_cells_become_metres() -> None:
     row, column = 30, 10
     cells[:, row, column] = 3.0, -3.0, 0.25, -0.5, np.log(0.2)
     cells[0, row, column + 1] = 2.0  # a neighbour on the same reflector
-    seen = seen_points(np.array([[0.08, 0.0]]))
-    (result, *rest) = decode(cells, seen, CONTRACT)
+    (result, *rest) = decode(cells, seen_points(np.array([[0.08, 0.0]])), CONTRACT)
     assert result.x_m == pytest.approx((column + 0.25 + 0.5) * CELL_M - GRID.extent / 2)
     assert result.y_m == pytest.approx((row - 0.5 + 0.5) * CELL_M - GRID.extent / 2)
     assert result.sigma_m == pytest.approx(0.2 * CELL_M)
@@ -74,11 +76,8 @@ def test_the_shipped_network_finds_reflectors_where_they_are() -> None:
 
 def test_noise_alone_holds_no_reflector() -> None:
     scene = Scene("empty", reference_amplitude=1.0)
-    false = 0
-    for seed in range(20):
-        capture, _ = simulate_capture(scene, Acquisition(views=36, snr_db=5.0), seed=seed)
-        scans = preprocess(capture)
-        false += bool(Detector.shipped().detect(NetworkInput.of(backproject(scans, GRID), scans)).detections)
+    detector = Detector.shipped()
+    false = sum(bool(detector.detect(seen(scene, seed, 5.0)).detections) for seed in range(20))
     assert false <= 2
 
 

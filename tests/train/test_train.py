@@ -12,17 +12,9 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'ats'")
 
 from tagid.errors import ModelError, StorageError, UsageError  # noqa: E402
 from tagid.models_store import manifest, open_model  # noqa: E402
-from train.dataset import (  # noqa: E402
-    MOST_REFLECTORS,
-    DatasetPlan,
-    ImageOf,
-    Samples,
-    Size,
-    build,
-    load,
-    sample,
-)
-from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detector  # noqa: E402
+from train import dataset  # noqa: E402
+from train.dataset import DatasetPlan, ImageOf, Samples, Size, build, load  # noqa: E402
+from train.detector import CELL_M, CELLS, FOLDER, MODEL, Contract, Detection, Detector  # noqa: E402
 from train.distributions import Distribution, ObjectDistribution  # noqa: E402
 from train.evaluate import Figures, score  # noqa: E402
 from train.export import check_better, export  # noqa: E402
@@ -33,7 +25,7 @@ from train.targets import batch_arrays, cell_targets, symmetry  # noqa: E402
 
 
 def samples_of(count: int, distribution: Distribution) -> Samples:
-    return Samples.joined(sample(ImageOf(seed, "bp"), distribution) for seed in range(count))
+    return Samples.joined(dataset.sample(ImageOf(seed, "bp"), distribution) for seed in range(count))
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +56,14 @@ def test_images_are_bright_where_the_truth_says(few: Samples) -> None:
 
 def test_bodies_stand_in_the_middle_of_their_tags() -> None:
     """All reflectors of a physical object lie equally far, to 2 mm each, from the middle of its body."""
-    cells = replace(Distribution(), object=ObjectDistribution(physical=1.0))
-    checked = 0
-    for seed in range(20):
-        scene = draw_scene(seed, cells)
-        if scene.ghosts and len(scene.reflectors_m) > 1:
-            away = np.linalg.norm(scene.reflectors_m - scene.ghosts[0].centre_m, axis=1)
-            assert np.ptp(away) <= 0.004
-            assert away.min() > scene.ghosts[0].radius_m - 0.002
-            checked += 1
-            if checked == 3:
-                return
-    pytest.fail("too few scenes with a body and two reflectors")
+    physical = replace(Distribution(), object=ObjectDistribution(physical=1.0))
+    drawn = (draw_scene(seed, physical) for seed in range(20))
+    tagged = (scene for scene in drawn if scene.ghosts and len(scene.reflectors_m) > 1)
+    for _ in range(3):
+        scene = next(tagged)
+        away = np.linalg.norm(scene.reflectors_m - scene.ghosts[0].centre_m, axis=1)
+        assert np.ptp(away) <= 0.004
+        assert away.min() > scene.ghosts[0].radius_m - 0.002
 
 
 @pytest.mark.parametrize("which", range(8))
@@ -121,21 +109,16 @@ def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path:
     settings = FitSettings(epochs=2, batch=5, threads=1)
     whole = fit(few, few, tmp_path / "whole.pt", settings)
 
-    class KilledError(Exception):
-        pass
-
     def kill(step: int, steps: int) -> None:
         if step == steps // 2 + 1:
-            raise KilledError
+            raise InterruptedError
 
-    with pytest.raises(KilledError):
+    with pytest.raises(InterruptedError):
         fit(few, few, tmp_path / "cut.pt", settings, progress=kill)
     losses: list[float] = []
-
-    def report(epoch: int, training: float, validation: float) -> None:
-        losses.append(training)
-
-    resumed = fit(few, few, tmp_path / "cut.pt", settings, report=report, jobs=2)
+    resumed = fit(
+        few, few, tmp_path / "cut.pt", settings, report=lambda epoch, *both: losses.append(both[0]), jobs=2
+    )
     assert len(losses) == 1
     for a, b in zip(whole.state_dict().values(), resumed.state_dict().values(), strict=True):
         assert torch.equal(a, b)
@@ -160,9 +143,7 @@ def test_an_exported_network_says_what_torch_says(few: Samples, tmp_path: Path) 
 
 
 def test_each_reflector_is_hit_once() -> None:
-    from train.detector import Detection
-
-    truth = np.full((MOST_REFLECTORS, 2), np.nan)
+    truth = np.full((dataset.MOST_REFLECTORS, 2), np.nan)
     truth[0], truth[1] = (0.05, 0.0), (-0.05, 0.0)
     results = [Detection(0.052, 0.0, 2e-3, p, 0.0, 1.0) for p in (0.9, 0.8)]
     outcome = score(results, truth)
@@ -174,16 +155,11 @@ def test_each_reflector_is_hit_once() -> None:
 
 
 def test_a_worse_network_does_not_replace_the_shipped_one() -> None:
-    present = manifest(FOLDER)[MODEL].facts["figures"]["all"]
-    as_good = Figures(
-        present["images"], present["reflectors"], present["recall"], 1.0, 0.0, 2.0, present["presence"]
-    )
+    now = manifest(FOLDER)[MODEL].facts["figures"]["all"]
+    as_good = Figures(now["images"], now["reflectors"], now["recall"], 1.0, 0.0, 2.0, now["presence"])
     check_better({"all": as_good})
-    for worse in (
-        replace(as_good, recall=0.0),
-        replace(as_good, false_images=0.5),
-        replace(as_good, images=2),
-    ):
+    for change in ({"recall": 0.0}, {"false_images": 0.5}, {"images": 2}):
+        worse = replace(as_good, **change)
         with pytest.raises(ModelError, match="not installed"):
             check_better({"all": worse})
 
