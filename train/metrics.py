@@ -121,24 +121,6 @@ def pick_peaks(image: Image, count: int, separation_m: float = MATCH_RADIUS_M) -
     return np.array(peaks, dtype=np.float64).reshape(-1, 2)
 
 
-def peak_to_sidelobe_db(image: Image, points: NDArray[np.floating]) -> float:
-    """Brightest magnitude within `MATCH_RADIUS_M` of a true point over the brightest outside, dB.
-
-    Infinite if everything else is zero, minus infinity if the image is zero at the points.
-    """
-    magnitude = np.abs(image.values).astype(np.float64)
-    x, y = np.meshgrid(image.grid.axis, image.grid.axis)
-    distance = np.full(magnitude.shape, np.inf)
-    for px, py in np.asarray(points, dtype=np.float64).reshape(-1, 2):
-        distance = np.minimum(distance, np.hypot(x - px, y - py))
-    near = distance <= MATCH_RADIUS_M
-    peak = float(magnitude[near].max(initial=0.0))
-    side = float(magnitude[~near].max(initial=0.0))
-    if peak == 0:
-        return float("-inf")
-    return float(20 * np.log10(peak / side)) if side > 0 else float("inf")
-
-
 def blank(grid: ImageGrid) -> Image:
     """A blank image, the baseline of every comparison."""
     return Image(np.zeros((grid.pixels, grid.pixels), dtype=np.complex64), grid, {"method": "blank"})

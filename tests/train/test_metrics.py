@@ -69,14 +69,6 @@ def test_peaks_are_picked_strongest_first_and_apart():
     assert len(metrics.pick_peaks(metrics.blank(GRID), 5)) == 0
 
 
-def test_peak_to_sidelobe_ratio_of_a_known_ghost():
-    values = np.zeros((80, 80), np.complex64)
-    values[40, 40], values[10, 10] = 2.0, 0.2j
-    points = np.array([[GRID.axis[40], GRID.axis[40]]])
-    assert metrics.peak_to_sidelobe_db(Image(values, GRID), points) == pytest.approx(20)
-    assert metrics.peak_to_sidelobe_db(metrics.blank(GRID), points) == float("-inf")
-
-
 def test_held_out_residual_of_the_truth_is_small_and_of_nothing_is_one():
     row, column = 30, 55
     capture = record([(GRID.axis[column], GRID.axis[row])], [3.0], turn(24))

@@ -215,6 +215,15 @@ def test_the_shared_responses_are_reproduced(name: str) -> None:
         assert np.abs(b - there).max() < 0.01 * np.abs(there).max()
 
 
+def test_the_phase_refers_to_the_axis_and_a_shift_towards_the_antenna_advances_it() -> None:
+    sweep = Sweep(3.9e9, 4.1e9, 2, 4, (Ring(200.0, "V"), Ring(201.0, "V")))
+    meshes = (shapes.octahedron(0.02, 2).moved((x, 0.0, 0.0)) for x in (0.0, 0.01))
+    still, near = (solve_response("one", mesh, sweep).scattering_length_m[0, :, 0] for mesh in meshes)
+    k = 2 * np.pi * 3.9e9 / SPEED_OF_LIGHT
+    assert still[1] / still[0] == pytest.approx(1, abs=5e-3)
+    assert near / still == pytest.approx(np.exp(2j * k * 0.01), rel=5e-3)
+
+
 def test_antennas_of_a_ring_lie_across_the_line_of_sight() -> None:
     for ring in (Ring(0.8, "V", 0.3), Ring(0.8, "H", -0.2)):
         position, polarisation = ring_antennas(ring, 7)
