@@ -79,7 +79,7 @@ def test_whitened_noise_has_one_density_and_echoes_keep_their_model() -> None:
 
 def lead(scans: BasebandScans) -> float:
     """Of container-90 over whatever has no tag, among few bodies, nats."""
-    some = contest(scans, [LAYOUTS["container-90"], LAYOUTS["container-180"]])
+    some = contest(scans, list(LAYOUTS.values()))
     some.transfers, some.sheets = (BARE, POINTS, *WALLS[:2], SHADES[1]), ()
     hypotheses = some.run()
     best = decide(hypotheses).best
