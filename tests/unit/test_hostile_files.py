@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import json
 import os
 import sqlite3
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hostile_files import REFUSED, ZEROS_BYTES, unknown_dataset
-from storage_samples import assert_equal, capture
+from rich.table import Table
+from storage_samples import capture
 
+from tagid.batch.spool import FILE_NAME as SPOOL_NAME
 from tagid.batch.spool import Spool
+from tagid.capture import Capture
 from tagid.enrolling.registry import Registry
-from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, UsageError
+from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, TagidError, UsageError
 from tagid.models_store import OPSET, open_model
+from tagid.report.records import ItemRecord
+from tagid.report.tables import CSV_COLUMNS, write_csv
 from tagid.result import Problem, Result, render
 from tagid.storage.history import FIELDS, FILE_NAME, Filter, History, export
 from tagid.storage.importers import read_any
@@ -33,32 +39,36 @@ POINTS = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 ENDLESS = "WITH RECURSIVE n (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT"
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_hostile_file_is_refused_in_little_memory(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    REFUSED[name](path)
+def read_in_little_memory(path: Path) -> Capture:
     tracemalloc.start()
     try:
-        with pytest.raises(FileFormatError, match=name):
-            read_any(path)
-        assert tracemalloc.get_traced_memory()[1] < ZEROS_BYTES / 10
+        return read_any(path)
     finally:
+        peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
+        assert peak < ZEROS_BYTES / 10
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_hostile_file_is_refused_in_little_memory(tmp_path: Path, name: str) -> None:
+    REFUSED[name](tmp_path / name)
+    with pytest.raises(FileFormatError, match=name):
+        read_in_little_memory(tmp_path / name)
 
 
 def test_a_dataset_that_is_not_known_is_not_read(tmp_path: Path) -> None:
     unknown_dataset(tmp_path / "a.tagid.h5")
-    tracemalloc.start()
-    try:
-        result = read_any(tmp_path / "a.tagid.h5")
-        assert tracemalloc.get_traced_memory()[1] < ZEROS_BYTES / 10
-    finally:
-        tracemalloc.stop()
-    expected = capture(
-        radar=result.radar, pulse=result.pulse, uuid=result.uuid, created_utc=result.created_utc
-    )
-    np.testing.assert_array_equal(result.samples, expected.samples)
-    assert_equal(result, result)
+    np.testing.assert_array_equal(read_in_little_memory(tmp_path / "a.tagid.h5").samples, capture().samples)
+
+
+def neutral(path: Path) -> list[str]:
+    """The cells of the one row of a table, none of which a spreadsheet takes for a formula."""
+    with path.open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    for value in row.values():
+        assert not value.lstrip().startswith(("=", "+", "-", "@")), value
+        assert value.isprintable()
+    return [*row]
 
 
 @pytest.mark.parametrize("start", ["=", "+", "-", "@", " =", "\t=", "\t", "\r"])
@@ -69,12 +79,14 @@ def test_every_csv_neutralises_what_a_spreadsheet_runs(tmp_path: Path, start: st
     numbers = dict.fromkeys(("score", "margin", "missing", "extra"), 0)
     history.add(history.begin(text, {}), [record | numbers | {"status": "unknown", "tool_version": "1"}])
     export(history, Filter(), tmp_path / "a.csv")
-    with (tmp_path / "a.csv").open(newline="") as file:
-        (row,) = csv.DictReader(file)
-    assert set(row) == set(FIELDS)
-    for value in row.values():
-        assert not value.lstrip().startswith(("=", "+", "-", "@")), value
-        assert value.isprintable()
+    assert neutral(tmp_path / "a.csv") == list(FIELDS)
+    reported: dict[str, Any] = dict.fromkeys(CSV_COLUMNS, text)
+    reported |= dict.fromkeys(("centre_m", "error", "correct", "coverage")) | {
+        "reflectors": [],
+        "seconds": {},
+    }
+    write_csv(tmp_path / "items.csv", [ItemRecord(reported)])
+    assert neutral(tmp_path / "items.csv") == list(CSV_COLUMNS)
 
 
 def test_such_texts_are_refused_at_enrolment(tmp_path: Path) -> None:
@@ -88,8 +100,6 @@ def test_such_texts_are_refused_at_enrolment(tmp_path: Path) -> None:
 
 
 def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    from rich.table import Table
-
     hostile = "\x1b]0;evil\x07\x1b[2J\x9b31m\u202e"
     table = Table(hostile)
     table.add_row(hostile)
@@ -105,40 +115,35 @@ def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture
     assert json.loads(printed.out)["data"]["path"] == hostile
 
 
-def test_a_registry_of_endless_views_is_refused(tmp_path: Path) -> None:
-    for name in ("registry.sqlite", FILE_NAME):
-        opened: type[Registry] | type[History] = Registry if name == "registry.sqlite" else History
-        error = RegistryError if opened is Registry else StorageError
-        path = tmp_path / name
-        opened(path)
-        table = "layout" if opened is Registry else "identification"
-        with sqlite3.connect(path, isolation_level=None) as connection:
-            connection.execute("PRAGMA foreign_keys = OFF")
-            columns = [row[1] for row in connection.execute(f"PRAGMA table_info ({table})")]
-            connection.execute(f"DROP TABLE {table}")
-            connection.execute(
-                f"CREATE VIEW {table} AS {ENDLESS} {', '.join(f'x AS {column}' for column in columns)} FROM n"
-            )
-        connection.close()
-        with pytest.raises(error, match="holds a view or trigger") as caught:
-            opened(path)
-        assert caught.value.remedy
-
-
-def test_a_report_does_not_go_on_with_endless_views(tmp_path: Path) -> None:
-    path = tmp_path / "spool.sqlite"
-    with Spool(path, fresh=True):
+def add_to_spool(path: Path) -> None:
+    with Spool(path, fresh=False):
         pass
-    with sqlite3.connect(path, isolation_level=None) as connection:
-        columns = [row[1] for row in connection.execute("PRAGMA table_info (item)")]
-        connection.execute("DROP TABLE item")
-        connection.execute(
-            f"CREATE VIEW item AS {ENDLESS} {', '.join(f'x AS {column}' for column in columns)} FROM n"
-        )
-    connection.close()
-    for fresh in (False, True):
-        with pytest.raises(StorageError, match="view or trigger"):
-            Spool(path, fresh)
+
+
+@pytest.mark.parametrize(
+    ("name", "opened", "table", "error"),
+    [
+        ("registry.sqlite", Registry, "layout", RegistryError),
+        (FILE_NAME, History, "identification", StorageError),
+        (SPOOL_NAME, add_to_spool, "item", StorageError),
+    ],
+)
+def test_a_database_of_endless_views_is_refused(
+    tmp_path: Path, name: str, opened: Callable[[Path], object], table: str, error: type[TagidError]
+) -> None:
+    path = tmp_path / name
+    opened(path)
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("PRAGMA foreign_keys = OFF")
+        columns = [f"x AS {row[1]}" for row in connection.execute(f"PRAGMA table_info ({table})")]
+        connection.execute(f"DROP TABLE {table}")
+        connection.execute(f"CREATE VIEW {table} AS {ENDLESS} {', '.join(columns)} FROM n")
+    with pytest.raises(error, match="view or trigger") as caught:
+        opened(path)
+    assert caught.value.remedy
+    if name == SPOOL_NAME:
+        with pytest.raises(error, match="view or trigger"):
+            Spool(path, fresh=True)
 
 
 def model_with_data_elsewhere(location: str, nested: bool) -> bytes:
@@ -175,13 +180,9 @@ def test_a_model_whose_data_lie_elsewhere_is_refused(
     (folder / "a.onnx").write_bytes(content)
     tensor = {"dtype": "float32", "shape": [4]}
     entry = {
-        "file": "a.onnx",
-        "sha256": hashlib.sha256(content).hexdigest(),
-        "size": len(content),
-        "opset": OPSET,
-        "inputs": {"x": tensor},
-        "outputs": {"y": tensor},
-    }
+        "file": "a.onnx", "sha256": hashlib.sha256(content).hexdigest(), "size": len(content),
+        "opset": OPSET, "inputs": {"x": tensor}, "outputs": {"y": tensor},
+    }  # fmt: skip
     (folder / "manifest.json").write_text(json.dumps({"manifest_version": 1, "models": {"a": entry}}))
     monkeypatch.chdir(folder)
     with pytest.raises(ModelError, match="other files"):
@@ -208,31 +209,7 @@ def test_onnxruntime_writes_nothing_into_the_users_folders(tmp_path: Path) -> No
         (tmp_path / name).mkdir()
         environment[name] = str(tmp_path / name)
     environment |= {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", RUN_A_MODEL],
-        env=environment,
-        cwd=tmp_path / "HOME",
-        capture_output=True,
-        text=True,
-    )
+    words, home = [sys.executable, "-c", RUN_A_MODEL], tmp_path / "HOME"
+    done = subprocess.run(words, env=environment, cwd=home, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert [path for path in tmp_path.rglob("*") if path.name not in folders] == []
-
-
-def test_a_csv_of_the_terminal_is_neutral(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from tagid.report.records import ItemRecord
-    from tagid.report.tables import CSV_COLUMNS, write_csv
-
-    record: dict[str, Any] = dict.fromkeys(CSV_COLUMNS, "=1+1")
-    record |= {
-        "centre_m": None,
-        "reflectors": [],
-        "error": None,
-        "seconds": {},
-        "correct": None,
-        "coverage": None,
-    }
-    write_csv(tmp_path / "items.csv", [ItemRecord(record)])
-    rows = list(csv.reader(io.StringIO((tmp_path / "items.csv").read_text())))
-    assert rows[0] == list(CSV_COLUMNS)
-    assert all(not value.startswith(("=", "+", "-", "@")) for value in rows[1])

@@ -24,16 +24,9 @@ from tagid.storage.importers import read_any, remarks
 VIEWS, BINS = 5, 96
 SAMPLES = np.random.default_rng(4).integers(-90_000, 90_000, (VIEWS, BINS)).astype(np.int32)
 CONFIG = {
-    "T": 0,
-    "nodeID": 7,
-    "Tstrt": 10_000,
-    "Tstp": 15_858,
-    "Nbin": 32,
-    "BII": 11,
-    "Iant": 2,
-    "Gtmt": 63,
+    "T": 0, "nodeID": 7, "Tstrt": 10_000, "Tstp": 15_858, "Nbin": 32, "BII": 11, "Iant": 2, "Gtmt": 63,
     "Ichan": 0,
-}
+}  # fmt: skip
 
 
 def scan(view: int, node: int = 7, filtering: int = 1) -> dict[str, Any]:

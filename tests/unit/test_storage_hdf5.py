@@ -19,9 +19,8 @@ from tagid.storage.hdf5 import FORMAT_VERSION, read_capture, write_capture
 def test_layout_is_the_documented_one(tmp_path: Path) -> None:
     write_capture(tmp_path / "a", capture())
     with h5py.File(tmp_path / "a") as file:
-        assert (
-            file.attrs["format"] == b"tagid.capture" and int(file.attrs["format_version"]) == FORMAT_VERSION
-        )
+        assert file.attrs["format"] == b"tagid.capture"
+        assert int(file.attrs["format_version"]) == FORMAT_VERSION
         assert file["scans/samples"].fletcher32 and file["scans/samples"].compression == "gzip"
         np.testing.assert_array_equal(file["scans/samples"][()], capture().samples)
         np.testing.assert_array_equal(file["scans/angles_rad"][()], capture().angles_rad)

@@ -100,26 +100,42 @@ def test_every_so_many_records_are_synced_with_all_before_them(tmp_path: Path, s
 def test_without_a_number_only_the_end_is_synced(tmp_path: Path, syncs: Syncs) -> None:
     with JournalWriter(tmp_path / "j", HEADER, sync_every=0) as journal:
         syncs.take()
-        append(journal, 200)
+        append(journal, 60)
         assert syncs.take() == []
         journal.close({"turns": 1})
         assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
     assert syncs.take() == []  # it is closed already
 
 
-def test_syncs_are_at_least_so_many_seconds_apart(
+def test_syncs_are_at_least_so_many_seconds_apart_and_the_time_until_the_next_is_told(
     tmp_path: Path, syncs: Syncs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = 100.0
     monkeypatch.setattr(journal_module, "time", SimpleNamespace(monotonic=lambda: now))
     with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
         syncs.take()
+        assert journal.seconds_to_sync() is None  # nothing waits
         seen = []
         for at in (100.0, 101.0, 101.9, 102.0, 103.9, 104.1):
             now = at
             append(journal, 1)
-            seen.append(len(syncs.take()))
-    assert seen == [1, 0, 0, 1, 0, 1]
+            seen.append((len(syncs.take()), journal.seconds_to_sync()))
+        counts, waits = zip(*seen, strict=True)
+        assert counts == (1, 0, 0, 1, 0, 1)
+        assert waits == (None, pytest.approx(1.0), pytest.approx(0.1), None, pytest.approx(0.1), None)
+        now = 104.5
+        append(journal, 1)
+        now = 108.0
+        assert journal.seconds_to_sync() == 0.0
+        journal.sync()
+        assert syncs.take() == [("file", journal.size)]
+        assert journal.seconds_to_sync() is None
+        append(journal, 1)
+        assert journal.seconds_to_sync() == pytest.approx(2.0)  # from the sync that was asked for
+    assert journal.seconds_to_sync() is None  # closed
+    with JournalWriter(tmp_path / "k", HEADER, sync_every=0) as journal:
+        append(journal, 1)
+        assert journal.seconds_to_sync() is None  # left to the operating system
 
 
 def test_a_failing_sync_is_said_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,39 +231,9 @@ def test_readings_of_the_motion_count_as_records(tmp_path: Path, syncs: Syncs) -
         assert syncs.take() == [("file", journal.size)]
         journal.append_motion({**readings, "host_time_ns": [2], "info": {}})
     read = read_journal(tmp_path / "j")
-    assert read.motion == {
-        "host_time_ns": [1, 2],
-        "angle_rad": [0.5, 0.5],
-        "sigma_rad": [0.1, 0.1],
-        "info": {},
-    }
+    times, angles, sigmas = [1, 2], [0.5, 0.5], [0.1, 0.1]
+    assert read.motion == {"host_time_ns": times, "angle_rad": angles, "sigma_rad": sigmas, "info": {}}
     assert len(read.scans) == 2
-
-
-def test_the_time_until_the_next_sync_is_told(
-    tmp_path: Path, syncs: Syncs, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = 50.0
-    monkeypatch.setattr(journal_module, "time", SimpleNamespace(monotonic=lambda: now))
-    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
-        assert journal.seconds_to_sync() is None  # nothing waits
-        append(journal, 1)
-        assert journal.seconds_to_sync() is None  # synced at once, the first
-        now = 50.5
-        append(journal, 1)
-        assert journal.seconds_to_sync() == pytest.approx(1.5)
-        now = 53.0
-        assert journal.seconds_to_sync() == 0.0
-        syncs.take()
-        journal.sync()
-        assert syncs.take() == [("file", journal.size)]
-        assert journal.seconds_to_sync() is None
-        append(journal, 1)
-        assert journal.seconds_to_sync() == pytest.approx(2.0)  # from the sync that was asked for
-    assert journal.seconds_to_sync() is None  # closed
-    with JournalWriter(tmp_path / "k", HEADER, sync_every=0) as journal:
-        append(journal, 1)
-        assert journal.seconds_to_sync() is None  # left to the operating system
 
 
 def test_a_recording_is_left_out_until_its_capture_is_verified(

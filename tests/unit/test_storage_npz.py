@@ -18,7 +18,6 @@ from storage_samples import assert_equal, capture
 from tagid.errors import FileFormatError, StorageError, UsageError
 from tagid.metadata import ObjectInfo, RadarInfo
 from tagid.storage.exporters import export
-from tagid.storage.hdf5 import write_capture
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_capture import write_captures
@@ -50,11 +49,7 @@ def test_generic_file_of_another_radar(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "meant"),
-    [
-        ("centre_frequency_hz", "center_frequency_hz"),
-        ("Bandwith_Hz", "bandwidth_hz"),
-        ("antenna_hight_m", "antenna_height_m"),
-    ],
+    [("centre_frequency_hz", "center_frequency_hz"), ("Bandwith_Hz", "bandwidth_hz")],
 )
 def test_a_misspelt_key_is_an_error_not_a_default(tmp_path: Path, wrong: str, meant: str) -> None:
     with pytest.raises(FileFormatError, match=f"is it {meant}") as raised:
@@ -96,10 +91,10 @@ def test_angles_in_degrees_are_refused_with_the_conversion(tmp_path: Path, case:
     assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
 
 
-@pytest.mark.parametrize("step", [2 * np.pi / 6, 2.39996])
-def test_few_views_a_turn_and_golden_angles_of_one_turn_are_radians(tmp_path: Path, step: float) -> None:
-    wrapped = np.arange(30) * step % (2 * np.pi)
-    assert read_any(npz(tmp_path / "a.npz", **turn(30, angles_rad=wrapped))).views == 30
+def test_few_views_a_turn_and_golden_angles_of_one_turn_are_radians(tmp_path: Path) -> None:
+    for step in (2 * np.pi / 6, 2.39996):
+        wrapped = np.arange(30) * step % (2 * np.pi)
+        assert read_any(npz(tmp_path / "a.npz", **turn(30, angles_rad=wrapped))).views == 30
 
 
 def test_ranges_in_millimetres_are_refused_with_the_conversion(tmp_path: Path) -> None:
@@ -126,18 +121,9 @@ def test_many_turns_in_radians_and_long_ranges_of_a_narrow_band_are_no_wrong_uni
 
 @pytest.mark.parametrize(
     ("dtype", "scale", "expected"),
-    [
-        ("int16", 1, "int32"),
-        ("uint64", 1, "int32"),
-        ("int64", 1, "int32"),
-        ("int64", 2**40, "float32"),
-        (">i4", 1, "int32"),
-        (">f8", 1, "float32"),
-        ("float16", 1, "float32"),
-        ("complex128", 1, "complex64"),
-        (">c8", 1, "complex64"),
-    ],
-)
+    [("int16", 1, "int32"), ("uint64", 1, "int32"), ("int64", 2**40, "float32"), (">i4", 1, "int32"),
+     (">f8", 1, "float32"), ("float16", 1, "float32"), (">c8", 1, "complex64")],
+)  # fmt: skip
 def test_dtypes_by_row_and_as_matlab_by_column(tmp_path: Path, dtype: str, scale: int, expected: str) -> None:
     values = (np.arange(24).reshape(4, 6) * scale).astype(dtype)
     for order in "CF":
@@ -260,21 +246,20 @@ def test_hostile_array_headers(tmp_path: Path, content: bytes) -> None:
 
 
 def test_zip_bomb(tmp_path: Path) -> None:
-    shape = "{'descr': '|i1', 'fortran_order': False, 'shape': (1000, 100000), }\n"
-    (tmp_path / "a.npz").write_bytes(member("samples", header(shape) + bytes(100_000_000)))
-    assert (tmp_path / "a.npz").stat().st_size < 200_000
+    shape = "{'descr': '|i1', 'fortran_order': False, 'shape': (1000, 20000), }\n"
+    (tmp_path / "a.npz").write_bytes(member("samples", header(shape) + bytes(20_000_000)))
+    assert (tmp_path / "a.npz").stat().st_size < 40_000
     with pytest.raises(FileFormatError, match="not plausible"):
         read_any(tmp_path / "a.npz")
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".tagid.h5"])
-def test_damage_gives_the_same_samples_or_an_error(tmp_path: Path, suffix: str) -> None:
+def test_damage_gives_the_same_samples_or_an_error(tmp_path: Path) -> None:
     shown = capture()
-    export(shown, tmp_path / f"a{suffix}")
-    data = (tmp_path / f"a{suffix}").read_bytes()
+    export(shown, tmp_path / "a.tagid.h5")
+    data = (tmp_path / "a.tagid.h5").read_bytes()
     rng = np.random.default_rng(3)
     refused = 0
-    for turn in range(150):
+    for turn in range(100):
         bad = bytearray(data)
         if turn % 3:
             bad[rng.integers(len(bad))] ^= 1 << rng.integers(8)
@@ -285,26 +270,13 @@ def test_damage_gives_the_same_samples_or_an_error(tmp_path: Path, suffix: str) 
             again = read_any(tmp_path / "b")
         except FileFormatError:
             refused += 1
-            continue
-        np.testing.assert_array_equal(again.samples, shown.samples)
-        assert suffix == ".npz" or assert_equal(shown, again) is None
-    assert refused > 100 or suffix == ".npz"
-
-
-def test_matlab_file(tmp_path: Path) -> None:
-    shown = capture()
-    export(shown, tmp_path / "a.mat")
-    mat = loadmat(tmp_path / "a.mat")
-    np.testing.assert_array_equal(mat["samples"], shown.samples)
-    np.testing.assert_array_equal(mat["host_time_ns"][:, 0], shown.host_time_ns)
-    np.testing.assert_allclose(mat["range_m"][:, 0], shown.ranges_m)
-    np.testing.assert_array_equal(mat["angles_rad"][:, 0], shown.angles_rad)
-    assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == shown.uuid
-    assert mat["object"].item() == '{"label": "helmet 7"}' and mat["complete"].item() == 0
+        else:
+            assert_equal(shown, again)
+    assert refused > 67
 
 
 def test_unknown_suffix_lists_those_known(tmp_path: Path) -> None:
-    for name in ("a.txt", "a", "a.npy"):
+    for name in ("a", "a.npy"):
         with pytest.raises(UsageError) as caught:
             export(capture(), tmp_path / name)
         assert ".npz" in caught.value.remedy and ".mat" in caught.value.remedy
@@ -320,19 +292,11 @@ def test_content_decides_not_the_name(tmp_path: Path) -> None:
     assert read_any(tmp_path / "b.csv").samples.tolist() == [[0, 1, 2, 3, 4]]
 
 
-@pytest.mark.parametrize("suffix", [".tagid.h5", ".npz", ".out", ".csv", ".tagid.journal", ""])
+@pytest.mark.parametrize("suffix", [".npz", ".tagid.journal", ""])
 def test_no_such_content(tmp_path: Path, suffix: str) -> None:
-    rng = np.random.default_rng(0)
     path = tmp_path / f"a{suffix}"
-    for content in (
-        b"",
-        b"\0",
-        bytes(5000),
-        rng.bytes(5000),
-        b"hello, world\n" * 90,
-        b"PK\3\4",
-        b"\x89HDF\r\n\x1a\n",
-    ):
+    noise = np.random.default_rng(0).bytes(5000)
+    for content in (b"", b"\0", bytes(5000), noise, b"hello, world\n" * 90, b"PK\3\4", b"\x89HDF\r\n\x1a\n"):
         path.write_bytes(content)
         with pytest.raises(FileFormatError) as caught:
             read_any(path)
@@ -353,7 +317,10 @@ def test_every_format_names_the_angles_alike_and_takes_the_old_name(tmp_path: Pa
         held = (dict(arrays), loadmat(tmp_path / "a.mat"), file["scans"])
         for arrays_of in held:
             assert np.ravel(arrays_of["angles_rad"]) == pytest.approx(shown.angles_rad)
-            assert arrays_of["samples"].shape == (shown.views, shown.bins)  # a view is a row
+            np.testing.assert_array_equal(arrays_of["samples"], shown.samples)  # a view is a row
+        mat = held[1]
+        np.testing.assert_allclose(mat["range_m"][:, 0], shown.ranges_m)
+        assert mat["axis_distance_m"].item() == 1.25 and mat["object"].item() == '{"label": "helmet 7"}'
         old = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[0].items()}
         in_matlab = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[1].items()}
     np.savez(tmp_path / "old.npz", **old)
@@ -363,33 +330,24 @@ def test_every_format_names_the_angles_alike_and_takes_the_old_name(tmp_path: Pa
         file.move("scans/angles_rad", "scans/angle_rad")
     for name in ("old.npz", "old.mat", "old.tagid.h5"):
         np.testing.assert_array_equal(read_any(tmp_path / name).angles_rad, shown.angles_rad)
+    with h5py.File(tmp_path / "old.tagid.h5", "r+") as file:
+        file["scans/angles_rad"] = shown.angles_rad + 1
+    np.testing.assert_array_equal(read_any(tmp_path / "old.tagid.h5").angles_rad, shown.angles_rad + 1)
 
 
-def test_settings_and_facts_of_the_first_version_do_not_replace_those_in_their_place() -> None:
+@pytest.mark.parametrize(("placed", "wanted"), [(True, (11, 2.0, 30.0)), (False, (7, 3.0, 20.0))])
+def test_settings_and_facts_of_the_first_version_do_not_replace_those_in_their_place(
+    placed: bool, wanted: tuple[float, ...]
+) -> None:
     assert stored_version({}, "a file without a version") == 1
-    old = {
-        "radar": {"config": {"base_integration_index": 11}, "base_integration_index": 7},
-        "motion": {"nominal_rpm": 2.0, "rpm": 3.0, "resolved": {"period_s": 30.0}, "period_s": 20.0},
-    }
-    result = read_metadata(old, "a file", 1)
-    assert result["radar"].config.base_integration_index == 11
-    assert (result["motion"].nominal_rpm, result["motion"].resolved.period_s) == (2.0, 30.0)
-    loose = {"radar": {"base_integration_index": 7}, "motion": {"rpm": 3.0, "period_s": 20.0}}
-    result = read_metadata(loose, "a file", 1)
-    assert result["radar"].config.base_integration_index == 7
-    assert (result["motion"].nominal_rpm, result["motion"].resolved.period_s) == (3.0, 20.0)
-
-
-@pytest.mark.parametrize("names", [("angle_rad", "angles_rad"), ("angles_rad", "angle_rad")])
-def test_angles_under_both_names_are_those_of_the_current_one(tmp_path: Path, names: tuple[str, ...]) -> None:
-    path = tmp_path / "a.tagid.h5"
-    write_capture(path, capture())
-    with h5py.File(path, "r+") as file:
-        angles = file["scans/angles_rad"][()]
-        del file["scans/angles_rad"]
-        for name in names:
-            file[f"scans/{name}"] = angles + (name == "angle_rad")
-    np.testing.assert_array_equal(read_any(path).angles_rad, angles)
+    radar: dict[str, Any] = {"base_integration_index": 7}
+    motion: dict[str, Any] = {"rpm": 3.0, "period_s": 20.0}
+    if placed:
+        radar["config"] = {"base_integration_index": 11}
+        motion |= {"nominal_rpm": 2.0, "resolved": {"period_s": 30.0}}
+    result = read_metadata({"radar": radar, "motion": motion}, "a file", 1)
+    read = result["motion"]
+    assert (result["radar"].config.base_integration_index, read.nominal_rpm, read.resolved.period_s) == wanted
 
 
 @pytest.mark.parametrize(("scans", "parts"), [(10, [4, 4, 2]), (8, [4, 4]), (3, [3])])

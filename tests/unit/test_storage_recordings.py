@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -190,42 +191,35 @@ def test_clipped_views_are_marked(tmp_path: Path) -> None:
     samples, _ = recording(first_id=0, scans=3)
     samples[1, 5] = -127 << 11
     samples[2, 5] = -(2**31)
-    capture = Capture(
-        samples,
-        1.0,
-        RANGE_STEP_M,
-        radar_time_ms=np.arange(3.0),
-        radar=RadarInfo(config=RadarSettings(base_integration_index=11)),
-    )
-    (tmp_path / "a.out").write_bytes(encode_recording(capture))
-    again = read_recording(tmp_path / "a.out")
+    radar = RadarInfo(config=RadarSettings(base_integration_index=11))
+    capture = Capture(samples, 1.0, RANGE_STEP_M, radar_time_ms=np.arange(3.0), radar=radar)
+    again = read_recording(save(tmp_path / "a.out", encode_recording(capture)))
     assert (again.flags & ViewFlag.CLIPPED).astype(bool).tolist() == [False, True, True]
 
 
-@pytest.mark.parametrize("start", [0.4, 1.7, 5.498793264636])
-def test_capture_from_elsewhere_keeps_its_ranges(tmp_path: Path, start: float) -> None:
+def test_capture_from_elsewhere_keeps_its_ranges(tmp_path: Path) -> None:
     samples, _ = recording()
-    capture = Capture(
-        samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar=RadarInfo(cable_delay_ps=11_000.0)
-    )
-    (tmp_path / "a.out").write_bytes(encode_recording(capture))
-    again = read_recording(tmp_path / "a.out", cable_delay_ps=11_000)
-    assert again.range_start_m == pytest.approx(start, abs=1e-4)  # whole ps are 0.15 mm
-    np.testing.assert_array_equal(again.samples, samples)
+    radar = RadarInfo(cable_delay_ps=11_000.0)
+    for start in (0.4, 1.7, 5.498793264636):
+        capture = Capture(samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar=radar)
+        path = save(tmp_path / "a.out", encode_recording(capture))
+        again = read_recording(path, cable_delay_ps=11_000)
+        assert again.range_start_m == pytest.approx(start, abs=1e-4)  # whole ps are 0.15 mm
+        np.testing.assert_array_equal(again.samples, samples)
 
 
 def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
-    times = {"radar_time_ms": np.arange(2.0)}
-    with pytest.raises(UsageError, match="int32"):
-        export(Capture(np.ones((2, 96), np.float32), 0.0, 0.01, **times), tmp_path / "a.out")
-    with pytest.raises(DataError, match="times"):
-        export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01), tmp_path / "a.out")
-    with pytest.raises(DataError, match="bins"):
-        export(Capture(np.ones((2, 9000), np.int32), 0.0, 0.01, **times), tmp_path / "a.out")
-    for bad in (2**40, -1):
-        radar = RadarInfo(config=RadarSettings(transmit_gain=bad))
-        with pytest.raises(DataError, match="transmit_gain"):
-            export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01, radar=radar, **times), tmp_path / "a.out")
+    counts, times = np.ones((2, 96), np.int32), {"radar_time_ms": np.arange(2.0)}
+    loud, below = (RadarInfo(config=RadarSettings(transmit_gain=bad)) for bad in (2**40, -1))
+    for capture, error, said in (
+        (Capture(counts.astype(np.float32), 0.0, 0.01, **times), UsageError, "int32"),
+        (Capture(counts, 0.0, 0.01), DataError, "times"),
+        (Capture(np.ones((2, 9000), np.int32), 0.0, 0.01, **times), DataError, "bins"),
+        (Capture(counts, 0.0, 0.01, radar=loud, **times), DataError, "transmit_gain"),
+        (Capture(counts, 0.0, 0.01, radar=below, **times), DataError, "transmit_gain"),
+    ):
+        with pytest.raises(error, match=said):
+            export(capture, tmp_path / "a.out")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -242,6 +236,10 @@ def swapped(data: bytes) -> bytes:
     return b"".join(part.astype(dtype.newbyteorder("<")).tobytes() for part, dtype in pairs)
 
 
+def counted(messages: list[bytes], size: int, order: Literal["big", "little"]) -> bytes:
+    return b"".join(len(message).to_bytes(size, order) + message for message in messages)
+
+
 NOISE = np.random.default_rng(9)
 DETECTIONS = encode(MessageType.DETECTION_LIST_INFO, 3)
 CONTROL = encode(MessageType.CONTROL_CONFIRM, 4)
@@ -250,12 +248,8 @@ WRAPPED = {
     "request": lambda block, parts: encode(MessageType.SET_CONFIG_REQUEST, 1)[:4] + block + b"".join(parts),
     "usb": lambda block, parts: b"".join(frame(p, Framing.USB) for p in [confirm(block), *parts]),
     "uart": lambda block, parts: b"".join(frame(p, Framing.UART) for p in [confirm(block), *parts]),
-    "big-endian lengths": lambda block, parts: b"".join(
-        len(p).to_bytes(4, "big") + p for p in [confirm(block), *parts]
-    ),
-    "little-endian lengths": lambda block, parts: b"".join(
-        len(p).to_bytes(2, "little") + p for p in [confirm(block), *parts]
-    ),
+    "big-endian lengths": lambda block, parts: counted([confirm(block), *parts], 4, "big"),
+    "little-endian lengths": lambda block, parts: counted([confirm(block), *parts], 2, "little"),
     "captured packets": lambda block, parts: b"".join(NOISE.bytes(58) + p for p in [confirm(block), *parts]),
     "times and newlines": lambda block, parts: block + b"".join(b"\n1700000000.123 " + p for p in parts),
     "detections": lambda block, parts: block + b"".join(p + DETECTIONS for p in parts),
