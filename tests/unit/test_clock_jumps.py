@@ -54,12 +54,10 @@ assert abs(int(capture.host_time_ns[0]) - wall) < 60 * 10**9
 
 
 def test_a_recording_does_not_notice(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", RECORDING, str(tmp_path / "a.tagid.h5")],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "OMP_NUM_THREADS": "1"},
-    )
+    words = [sys.executable, "-c", RECORDING, str(tmp_path / "a.tagid.h5")]
+    root = str(Path(__file__).resolve().parents[2])
+    environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
 
 

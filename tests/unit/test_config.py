@@ -19,16 +19,16 @@ def own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_command_line_beats_environment_beats_file_beats_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    value = load_config().values["radar.gain"]
-    assert (value.value, value.source) == (63, "default")
+    def gain(**given: int) -> tuple[object, str]:
+        value = load_config({f"radar.{name}": number for name, number in given.items()}).values["radar.gain"]
+        return value.value, value.source
+
+    assert gain() == (63, "default")
     change_settings({"radar.gain": "40"})
-    value = load_config().values["radar.gain"]
-    assert (value.value, value.source) == (40, "file")
+    assert gain() == (40, "file")
     monkeypatch.setenv("TAGID_RADAR_GAIN", "30")
-    value = load_config().values["radar.gain"]
-    assert (value.value, value.source) == (30, "environment")
-    value = load_config({"radar.gain": 20}).values["radar.gain"]
-    assert (value.value, value.source) == (20, "command line")
+    assert gain() == (30, "environment")
+    assert gain(gain=20) == (20, "command line")
 
 
 def test_unset_gives_the_default_back_and_keeps_the_rest() -> None:
@@ -42,21 +42,11 @@ def test_unset_gives_the_default_back_and_keeps_the_rest() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("radar.gain", "64"),
-        ("radar.gain", "1.5"),
-        ("radar.gain", "high"),
-        ("motion.axis_distance_m", "nan"),
-        ("motion.axis_distance_m", "0"),
-        ("imaging.method", "magic"),
-        ("tags.centre_sigma_m", "0"),
-        ("tags.radius_sigma_m", "12"),
-        ("tags.radius_inside_m", "-0.01"),
-        ("tags.radius_outside_m", "27"),
-        ("tags.offset_range_m", "nan"),
-        ("no.such", "1"),
-    ],
-)
+    [("radar.gain", "64"), ("radar.gain", "1.5"), ("radar.gain", "high"), ("motion.axis_distance_m", "nan"),
+     ("motion.axis_distance_m", "0"), ("imaging.method", "magic"), ("tags.centre_sigma_m", "0"),
+     ("tags.radius_sigma_m", "12"), ("tags.radius_inside_m", "-0.01"), ("tags.radius_outside_m", "27"),
+     ("tags.offset_range_m", "nan"), ("no.such", "1")],
+)  # fmt: skip
 def test_a_bad_value_is_refused_and_the_file_stays(own_file: Path, name: str, value: str) -> None:
     change_settings({"radar.gain": "40"})
     before = own_file.read_bytes()

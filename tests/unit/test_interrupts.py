@@ -26,24 +26,18 @@ def handlers_are_restored():
 @pytest.mark.parametrize("number", STOP)
 def test_a_signal_waits_for_the_outermost_end(number: int) -> None:
     reached = []
-    with pytest.raises(KeyboardInterrupt), interrupts.handled():
-        with interrupts.deferred():
-            with interrupts.deferred():
-                for _ in range(3):
-                    signal.raise_signal(number)
-                reached.append("inner")
-            reached.append("outer")
-        reached.append("after")
-    assert reached == ["inner", "outer"]
-
-
-def test_a_signal_takes_effect_once() -> None:
     with interrupts.handled():
-        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
-            for number in STOP:
-                signal.raise_signal(number)
+        with pytest.raises(KeyboardInterrupt):
+            with interrupts.deferred():
+                with interrupts.deferred():
+                    for one in (number, *STOP, number):
+                        signal.raise_signal(one)
+                    reached.append("inner")
+                reached.append("outer")
+            reached.append("after")
         with interrupts.deferred():
-            pass
+            reached.append("it takes effect once")
+    assert reached == ["inner", "outer", "it takes effect once"]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, CaptureInterrupted])

@@ -30,19 +30,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def profile() -> RigProfile:
     return RigProfile(
-        "2026-03-12T10:00:00+00:00",
-        Radar(1088, "P440", 2, 63, 11),
-        Measured(11_841.5, 9.0),
-        Measured(1.0075, 0.004),
-        Measured(0.045, 0.005),
-        Measured(0.0, 0.005),
-        Measured(24.1, 0.003),
-        1,
-        Measured(0.015, 0.001),
-        Measured(-1.5, 1.0),
-        Measured(120.0, 0.3),
-        measured_pulses()[0],
-    )
+        "2026-03-12T10:00:00+00:00", Radar(1088, "P440", 2, 63, 11), Measured(11_841.5, 9.0),
+        Measured(1.0075, 0.004), Measured(0.045, 0.005), Measured(0.0, 0.005), Measured(24.1, 0.003), 1,
+        Measured(0.015, 0.001), Measured(-1.5, 1.0), Measured(120.0, 0.3), measured_pulses()[0],
+    )  # fmt: skip
 
 
 def capture(**radar: object) -> Capture:

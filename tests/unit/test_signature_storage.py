@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,17 +55,10 @@ def test_a_signature_is_stored_as_bytes_and_any_damage_is_seen(mug: Signature) -
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"harmonics": np.full((9, 7), np.nan + 0j)},
-        {"harmonics": np.zeros((9, 7), complex)},
-        {"harmonics": np.ones((9, 6), complex)},
-        {"noise": -np.ones(9)},
-        {"radius_m": 3.0},
-        {"distance_m": 0.0},
-        {"model_error": 2.0},
-        {"wavenumbers": np.arange(9.0)[::-1]},
-    ],
-)
+    [{"harmonics": np.full((9, 7), np.nan + 0j)}, {"harmonics": np.zeros((9, 7), complex)},
+     {"harmonics": np.ones((9, 6), complex)}, {"noise": -np.ones(9)}, {"radius_m": 3.0},
+     {"distance_m": 0.0}, {"model_error": 2.0}, {"wavenumbers": np.arange(9.0)[::-1]}],
+)  # fmt: skip
 def test_impossible_signatures_are_refused(mug: Signature, change: dict[str, object]) -> None:
     with pytest.raises(DataError, match="mug"):
         replace(mug, **change)  # type: ignore[arg-type]
@@ -85,9 +79,8 @@ def test_a_registry_of_schema_1_is_migrated(tmp_path: Path, mug: Signature) -> N
     assert registry.add_all([], "3 captures", signatures=[mug]) == 10
     assert registry.undo(6).version == 12
     assert registry.signatures() == [] and "container-180" in [layout.name for layout in registry.layouts()]
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
-    connection.close()
 
 
 def test_bodies_and_objects_are_kept_undone_and_removed(
@@ -100,10 +93,8 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.add_all([], "again", signatures=[mug]) == 7
     with pytest.raises(RegistryError, match="a body named mug is already enrolled"):
         registry.add_all([], "x", signatures=[mug], replace=False)
-    assert [(signature.kind, signature.name) for signature in registry.contents().signatures] == [
-        ("body", "mug"),
-        ("object", "mug-7"),
-    ]
+    kept = [(signature.kind, signature.name) for signature in registry.contents().signatures]
+    assert kept == [("body", "mug"), ("object", "mug-7")]
     assert to_bytes(registry.signature("body", "mug")) == to_bytes(mug)
     assert registry.remove_signature("body", "mug") == 8
     with pytest.raises(RegistryError, match="no body is named 'mug'"):

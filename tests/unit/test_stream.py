@@ -99,7 +99,7 @@ def test_view_and_early_ending_of_a_recording_read_the_same_stream(tmp_path: Pat
     alive: list[ScanStream] = []
 
     def all_streams() -> list[ScanStream]:
-        return [get_object for get_object in gc.get_objects() if type(get_object) is ScanStream]
+        return [thing for thing in gc.get_objects() if type(thing) is ScanStream]
 
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
     earlier = all_streams()
