@@ -50,10 +50,8 @@ _DONE = "done"
 class Promise:
     """What has to be there after a power cut of one recording.
 
-    Attributes:
-        stage: what is promised at a cut (a line of the trace), as a value to compare.
-        broken: called with a folder in the state after the cut, and the cut; recovers, and returns what is
-            lost or wrong, empty where nothing is.
+    `stage` is what is promised at a cut (a line of the trace), as a value to compare. `broken` recovers in a
+    folder in the state after the cut, and returns what is lost or wrong, empty where nothing is.
     """
 
     stage: Callable[[int], object]
@@ -242,11 +240,8 @@ def _one_of(values: list[Any], read: Callable[[Path], Any]) -> Callable[[Recordi
             except TagidError as error:
                 return f"{type(error).__name__}: {error.message}"
             allowed = values[done : done + 2]
-            return (
-                ""
-                if recovered in allowed
-                else f"after {done} of {len(values) - 1} steps: {str(recovered)[:100]}"
-            )
+            wrong = f"after {done} of {len(values) - 1} steps: {str(recovered)[:100]}"
+            return "" if recovered in allowed else wrong
 
         assert len(recording.marked(1 << 60)) == len(values) - 1
         return Promise(lambda cut: len(recording.marked(cut)), check)
@@ -269,14 +264,14 @@ def _configs() -> list[dict[str, Any]]:
 # Databases: after each report the change is there, and the file can always be opened and changed.
 
 
-_ENROLLED = tuple(f"new-{number}" for number in range(4))
+_ENROLLED = tuple(f"new-{number}" for number in range(3))
 
 
 def _registry() -> None:
-    for number, name in enumerate(_ENROLLED):
-        points = [f"{0.1 + 0.01 * number},0", "-0.02,0.06", f"-0.05,{-0.04 - 0.01 * number}"]
+    for number, name in enumerate(_ENROLLED):  # of 4 to 6 reflectors: nothing to compare them with
+        points = [f"{0.06 - 0.02 * at},{0.09 * (-1) ** at}" for at in range(number + 4)]
         words = [word for point in points for word in ("--point", point)]
-        assert _command("enroll", name, "--kind", "other", *words, "--yes", "--force") == 0
+        assert _command("enroll", name, "--kind", "helmet", *words, "--yes", "--force") == 0
         _tell(_DONE)
     assert _command("layouts", "--remove", "new-0") == 0
     _tell(_DONE)

@@ -36,16 +36,10 @@ _Effect = Write | Truncate | Link | Rename | Unlink
 
 @dataclass(frozen=True)
 class State:
-    """What may be in the folder after a power cut.
+    """What may be in the folder after a power cut."""
 
-    Attributes:
-        cut: line of the trace; operations that started later never happened.
-        files: content by name, relative to the folder.
-        folders: names of the folders.
-    """
-
-    cut: int
-    files: Mapping[str, bytes]
+    cut: int  # line of the trace; operations that started later never happened
+    files: Mapping[str, bytes]  # content by name, relative to the folder
     folders: tuple[str, ...]
 
     def put(self, place: Path) -> None:
@@ -70,13 +64,8 @@ def states(
     """Different states, in the order of their cuts.
 
     The four at each cut are nothing and everything of what is not synced, names without data and data without
-    names. The others are chosen at random from: all but one, one alone, one torn, and random subsets.
-
-    Args:
-        recording: what was recorded.
-        stage: what is promised at a cut; a state that was given is given again where more is promised.
-        density: number of states.
-        rng: chooses them.
+    names. The others are chosen at random from: all but one, one alone, one torn, and random subsets. A state
+    that was given is given again where `stage` says that more is promised.
     """
     disk = _Disk(recording)
     seen: set[tuple[bytes, object]] = set()

@@ -24,6 +24,7 @@ _CALLS = (
     "fdatasync,sync_file_range,rename,renameat,renameat2,unlink,unlinkat,rmdir,link,linkat,symlink,mkdir,mkdirat,"
     "dup,dup2,dup3,fcntl,copy_file_range,sendfile,chdir,fchdir,clone,clone3,fork,vfork"
 )
+_STARTING = ("clone", "clone3", "fork", "vfork")
 _LONGEST = 16 << 20
 _LINE = re.compile(r"(\d+)\s+(\d+\.\d+) (.*)")
 _CALL = re.compile(r"(\w+)\((.*)\)\s+= (-?\d+|\?)", re.DOTALL)
@@ -109,27 +110,16 @@ class Mark(Operation):
 
 @dataclass(frozen=True)
 class Recording:
-    """Operations in the order of their ends.
-
-    Attributes:
-        operations: all of them.
-        paths: last name of each inode, relative to the folder.
-        contents: last content of each file, removed ones included, by inode.
-        final: content of every file after the last operation, by name.
-    """
+    """Operations in the order of their ends."""
 
     operations: tuple[Operation, ...]
-    paths: Mapping[int, str]
-    contents: Mapping[int, bytes]
-    final: Mapping[str, bytes]
+    paths: Mapping[int, str]  # last name of each inode, relative to the folder
+    contents: Mapping[int, bytes]  # last content of each file, removed ones included, by inode
+    final: Mapping[str, bytes]  # content of every file after the last operation, by name
 
     def marked(self, cut: int) -> list[str]:
         """Lines that the process had written to its output before `cut`."""
-        return [
-            operation.text
-            for operation in self.operations
-            if isinstance(operation, Mark) and operation.end < cut
-        ]
+        return [mark.text for mark in self.operations if isinstance(mark, Mark) and mark.end < cut]
 
 
 def unavailable() -> str:
@@ -150,14 +140,9 @@ def record(command: Sequence[str], folder: Path, environment: Mapping[str, str],
         raise ValueError(f"{folder} is not empty")
     words = ["strace", "-f", "-ttt", "-xx", "-s", str(_LONGEST), "--seccomp-bpf", "-e", f"trace={_CALLS}"]
     done = subprocess.run(
-        [*words, "-o", str(log), *command],
-        cwd=folder,
-        env=dict(environment),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=600,
-    )
+        [*words, "-o", str(log), *command], cwd=folder, env=dict(environment),
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=600,
+    )  # fmt: skip
     assert done.returncode == 0, done.stdout
     recorder = _Recorder(folder)
     for call in _calls(_of_one_process(log.read_text().splitlines())):
@@ -240,7 +225,7 @@ class _Recorder:
     def take(self, call: _Call) -> None:
         """Apply one call."""
         do = getattr(self, f"_{call.name}", None)
-        if call.name in ("clone", "clone3", "fork", "vfork"):
+        if call.name in _STARTING:
             return
         if do is not None:
             do(call)
