@@ -48,17 +48,11 @@ _ENDS = frozenset({0, 1, 3, 5, 130})
 
 @dataclass
 class Outcome:
-    """What one try left.
+    """What one try left."""
 
-    Attributes:
-        returncode: of the process; negative where a signal ended it.
-        aimed: whether a signal was sent while the temporary file existed.
-        faults: what must not be, in words.
-    """
-
-    returncode: int
-    aimed: bool
-    faults: list[str] = field(default_factory=list)
+    returncode: int  # of the process; negative where a signal ended it
+    aimed: bool  # whether a signal was sent while the temporary file existed
+    faults: list[str] = field(default_factory=list)  # what must not be, in words
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -91,14 +85,9 @@ def started(command: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
     """The process, in a process group of its own; killed where it does not end."""
     (folder / "out").mkdir(parents=True, exist_ok=True)
     process = subprocess.Popen(
-        command_line(command, folder),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment(folder),
-        cwd=folder,
-        start_new_session=True,
-    )
+        command_line(command, folder), env=environment(folder), cwd=folder, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
     try:
         yield process
     finally:

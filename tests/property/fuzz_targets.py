@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import savemat
@@ -41,21 +42,13 @@ CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)
 
 @dataclass(frozen=True)
 class Target:
-    """One parser.
-
-    Attributes:
-        name: for the report.
-        run: parses the bytes; raises only what is a fault.
-        seeds: well-formed inputs, from which mutation starts.
-        share: of the executions of a long run.
-        longest: bytes of the longest input worth trying.
-    """
+    """One parser."""
 
     name: str
-    run: Callable[[bytes], None]
-    seeds: Callable[[], list[bytes]]
-    share: float
-    longest: int = 4096
+    run: Callable[[bytes], None]  # raises only what is a fault
+    seeds: Callable[[], list[bytes]]  # well-formed inputs, from which mutation starts
+    share: float  # of the executions of a long run
+    longest: int = 4096  # bytes of the longest input worth trying
 
 
 def _message(data: bytes) -> None:
@@ -151,15 +144,23 @@ def _folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="tagid-fuzz-", dir=memory if memory.is_dir() else None))
 
 
-def read_bytes_as_file(data: bytes) -> Capture | None:
-    """The capture that the bytes hold; None where they end in an error of the tree."""
+def _read_as_file(data: bytes, read: Callable[[Path], Any]) -> Any:
+    """What the bytes hold; None where they end in an error of the tree."""
     path = _folder() / "input"
     path.write_bytes(data)
     try:
-        return read_any(path)
+        return read(path)
     except TagidError as error:
-        assert error.message
+        assert path.name in error.message
         return None
+
+
+def read_bytes_as_file(data: bytes) -> Capture | None:
+    return _read_as_file(data, read_any)
+
+
+def _response(data: bytes) -> None:
+    _read_as_file(data, read_response)
 
 
 def _importer(data: bytes) -> None:
@@ -201,15 +202,6 @@ def encoded(suffix: str, capture: Capture | None = None) -> bytes:
                 journal.append(number, number, float(number), row)
             journal.close({"radar": {"scans_lost": 0}})
     return path.read_bytes()
-
-
-def _response(data: bytes) -> None:
-    path = _folder() / "response"
-    path.write_bytes(data)
-    try:
-        read_response(path)
-    except TagidError as error:
-        assert error.message
 
 
 def _response_seeds() -> list[bytes]:
@@ -271,14 +263,7 @@ def _resaved() -> list[bytes]:
 
 
 def _layouts(data: bytes) -> None:
-    path = _folder() / "layouts.toml"
-    path.write_bytes(data)
-    try:
-        result = read_layouts(path)
-    except TagidError as error:
-        assert path.name in error.message
-        return
-    for layout in result:
+    for layout in _read_as_file(data, read_layouts) or ():
         assert layout_from_dict(layout.to_dict()).to_dict() == layout.to_dict()
 
 

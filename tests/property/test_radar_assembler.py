@@ -148,11 +148,8 @@ def test_scans_within_the_window_of_the_newest_are_still_waited_for() -> None:
     """After 9 and 10, scans 3 to 8 may still arrive; only those before are lost."""
     assembler = ScanAssembler(0)
     for i in (9, 10, *range(3, 9)):
-        out = [
-            s
-            for p in scan_packets(samples_of(i), CONFIG, i, 200 * i)
-            for s in assembler.add(read_fragment(p))
-        ]
+        packets = scan_packets(samples_of(i), CONFIG, i, 200 * i)
+        out = [scan for packet in packets for scan in assembler.add(read_fragment(packet))]
     assert assembler.statistics.lost_scans == 3
     assert [scan.scan_id for scan in out] == [8, 9, 10]
 
@@ -197,10 +194,8 @@ def test_a_run_without_a_first_id_begins_with_the_first_that_is_seen() -> None:
     assert assembler.next_id is None and assembler.newest_id is None
     assembler.give_up_until(4)
     assert assembler.statistics.lost_scans == 0
-    assert [scan.scan_id for scan in feed(assembler, [p for s in packets_of(2, 500) for p in s])] == [
-        500,
-        501,
-    ]
+    packets = [packet for scan in packets_of(2, 500) for packet in scan]
+    assert [scan.scan_id for scan in feed(assembler, packets)] == [500, 501]
     assembler.give_up_until(502)
     assembler.give_up_until(400)
     assert assembler.statistics.lost_scans == 0
@@ -250,8 +245,6 @@ def test_the_clock_of_scans_out_of_order_goes_back_without_a_wrap() -> None:
 def test_a_radar_that_paused_for_weeks_goes_on_on_the_same_clock() -> None:
     """Half of the 32-bit clock, 24.8 days, is the longest pause that is told from a step back."""
     pause = 2**30 + 5000
-    packets = [
-        *scan_packets(samples_of(0), CONFIG, 3, 1000),
-        *scan_packets(samples_of(1), CONFIG, 4, 1000 + pause),
-    ]
+    packets = scan_packets(samples_of(0), CONFIG, 3, 1000)
+    packets += scan_packets(samples_of(1), CONFIG, 4, 1000 + pause)
     assert [scan.radar_time_ms for scan in feed(ScanAssembler(3), packets)] == [1000, 1000 + pause]

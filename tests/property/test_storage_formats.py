@@ -13,15 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tagid.capture import Capture, Pulse
-from tagid.metadata import (
-    MotionInfo,
-    ObjectInfo,
-    RadarInfo,
-    RadarSettings,
-    ResolvedMotion,
-    ScanGap,
-    Track,
-)
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings, ResolvedMotion, ScanGap, Track
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
@@ -137,13 +129,7 @@ def test_round_trip(capture: Capture) -> None:
         assert len(list(Path(folder).iterdir())) == 3
 
 
-@given(
-    st.integers(1, 6),
-    st.integers(1, 1100),
-    st.integers(0, 65_535),
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 2**31 - 10**6),
-)
+@given(*(st.integers(*span) for span in ((1, 6), (1, 1100), (0, 65_535), (0, 2**32 - 1), (0, 2**31 - 10**6))))
 @settings(max_examples=40, deadline=None)
 def test_recording_written_and_read_and_written(
     views: int, bins: int, first_id: int, first_ms: int, start_ps: int
