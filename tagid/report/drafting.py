@@ -22,6 +22,7 @@ MAX_SIDE_MM = 10_000.0
 HALO_MM = 0.8
 """White margin around letters, so that lines behind them do not make them illegible."""
 DASH_MM, GAP_MM = 2.0, 1.5
+_DPI = 200.0
 
 
 @dataclass(frozen=True)
@@ -127,10 +128,10 @@ def _stroke(mark: Line | Circle) -> str:
     )
 
 
-def to_png(drawing: Drawing, dpi: float = 200.0) -> bytes:
+def to_png(drawing: Drawing) -> bytes:
     """The drawing as a PNG that carries its resolution."""
     buffer = io.BytesIO()
-    _raster(drawing, 2 * dpi).reduce(2).save(buffer, format="PNG", optimize=True, dpi=(dpi, dpi))
+    _raster(drawing, 2 * _DPI).reduce(2).save(buffer, format="PNG", optimize=True, dpi=(_DPI, _DPI))
     return buffer.getvalue()
 
 

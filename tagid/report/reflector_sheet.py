@@ -170,7 +170,7 @@ class CrossSection:
     source: str
 
 
-def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
+def cross_section(size_m: float) -> CrossSection:
     """The octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that.
 
     The cross-section over the square of the size depends on the size in wavelengths alone: it is taken from
@@ -178,7 +178,7 @@ def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
     """
     check_size(size_m)
     table = json.loads(TABLE.read_text())
-    frequency = np.linspace(3.1e9, 4.9e9, frequencies)
+    frequency = np.linspace(3.1e9, 4.9e9, 7)
     size = size_m * frequency / SPEED_OF_LIGHT
     level = 10 * np.log10(4 * np.pi * size_m**2)
     vertical, horizontal = (
