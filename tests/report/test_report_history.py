@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,12 @@ def names(history: Path) -> list[str]:
     return sorted(Path(entry.file).name for entry in History(history).find())
 
 
+def forget_the_last(history: Path) -> None:
+    """As if the run had been killed before they were stored."""
+    with closing(sqlite3.connect(history, isolation_level=None)) as connection:
+        connection.execute("DELETE FROM identification WHERE id > 2")
+
+
 def test_what_a_killed_run_left_is_stored_by_the_next(
     make_report, job: Job, captures: Path, tmp_path: Path
 ) -> None:
@@ -26,25 +33,18 @@ def test_what_a_killed_run_left_is_stored_by_the_next(
     hooks = Hooks(history=path)
     assert make_report(captures, hooks=hooks).remarks == ()
     assert len(names(path)) == 5
-    with sqlite3.connect(path) as connection:  # as if killed before the last ones were stored
-        connection.execute("DELETE FROM identification WHERE id > 2")
-    connection.close()
+    forget_the_last(path)
     (captures / "empty.tagid.h5").rename(captures / "renamed.tagid.h5")
     assert make_report(captures / "renamed.tagid.h5", hooks=hooks, resume=True).reused == 1
     assert len(names(path)) == 6, "every answer once, and one more for the new name"
-    with sqlite3.connect(path) as connection:
-        connection.execute("DELETE FROM identification WHERE id > 2")
-    connection.close()
+    forget_the_last(path)
     # Also a run with other settings finds them, and stores them under the run that made them.
     other = of_another_registry(job)
     assert make_report(captures / "bad.tagid.h5", hooks=hooks, job=other, resume=True).remarks == ()
     assert len(names(path)) == 7
-    with sqlite3.connect(path) as connection:
-        assert connection.execute("SELECT run_id, COUNT(*) FROM identification GROUP BY 1").fetchall() == [
-            (1, 6),
-            (2, 1),
-        ]
-    connection.close()
+    with closing(sqlite3.connect(path)) as connection:
+        counts = connection.execute("SELECT run_id, COUNT(*) FROM identification GROUP BY 1").fetchall()
+    assert counts == [(1, 6), (2, 1)]
 
 
 def test_a_resumed_run_stores_copies_as_a_fresh_one_does(make_report, recorded: Path, tmp_path: Path) -> None:

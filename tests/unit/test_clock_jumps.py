@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid import hostclock
 from tagid.angles.align import NotAlignedError, align
 from tagid.angles.clock import fit_clock
 from tagid.metadata import MotionInfo, Track
@@ -48,7 +46,7 @@ plan = RecordingPlan(None, 1.0, scans=60, max_seconds=60.0)
 capture = record(open_radar("emulator://points-3"), open_motion("free?rpm=6"), plan, Path(sys.argv[1]))
 assert capture.complete and capture.views == 60
 assert np.diff(capture.host_time_ns).min() >= 0, np.diff(capture.host_time_ns)
-assert np.ptp(capture.host_time_ns) <= time.monotonic_ns() - began
+assert 0 < np.ptp(capture.host_time_ns) <= time.monotonic_ns() - began
 assert abs(int(capture.host_time_ns[0]) - wall) < 60 * 10**9
 """
 
@@ -59,14 +57,6 @@ def test_a_recording_does_not_notice(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"}
     done = subprocess.run(words, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
-
-
-def test_it_runs_as_real_time_does_from_the_epoch() -> None:
-    before, monotonic = hostclock.now_ns(), time.monotonic_ns()
-    time.sleep(0.02)
-    elapsed = hostclock.now_ns() - before
-    assert 0.02e9 <= elapsed <= time.monotonic_ns() - monotonic + 1e6
-    assert abs(before - time.time_ns()) < 3600e9
 
 
 def test_angles_of_a_recording_whose_clock_was_set_are_refused() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from tagid import files
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
-from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.session import journal_header
@@ -23,17 +23,7 @@ from tagid.storage.journal import PREAMBLE, JournalWriter, intact_records, pack_
 from tagid.storage.journal_capture import read_journal_capture
 from tests.unit.storage_samples import file_size_limit, read_journal
 
-HEADER = {
-    "range_start_m": 0.4,
-    "range_step_m": 0.009149,
-    "axis_distance_m": 1.5,
-    "radar": {"config": {"base_integration_index": 11}},
-    "motion": {"url": "free"},
-    "object": {"label": "helmet"},
-    "uuid": "5a0f3a6e-0000-4000-8000-000000000001",
-    "created_utc": "2024-05-01T10:00:00+00:00",
-    "tool_version": "0.1.0",
-}
+HEADER = {"range_start_m": 0.4, "range_step_m": 0.009149}
 
 
 def scan(number: int, bins: int = 32) -> np.ndarray:
@@ -48,37 +38,28 @@ def write(path: Path, scans: int, close: bool = True, bins: int = 32) -> None:
             journal.close({"radar": {"scans_lost": 2}})
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    write(tmp_path / "j", 7)
-    with pytest.raises(StorageError, match="already exists"):
-        JournalWriter(tmp_path / "j", HEADER)
-    journal = read_journal(tmp_path / "j")
-    assert journal.header == HEADER and journal.bytes_dropped == 0
-    capture = read_journal_capture(tmp_path / "j")
-    assert capture.complete and capture.samples.dtype == np.int32
-    np.testing.assert_array_equal(capture.samples, np.stack([scan(i) for i in range(7)]))
-    np.testing.assert_array_equal(capture.scan_id, np.arange(100, 107))
-    np.testing.assert_array_equal(capture.host_time_ns, 10**18 + np.arange(7))
-    np.testing.assert_array_equal(capture.radar_time_ms, 21.5 * np.arange(7))
-    np.testing.assert_array_equal(capture.flags, np.arange(7))
-    assert capture.radar == RadarInfo(config=RadarSettings(base_integration_index=11), scans_lost=2)
-    assert capture.axis_distance_m == 1.5 and capture.uuid == HEADER["uuid"]
-    assert capture.object == ObjectInfo(label="helmet")
-
-
 def test_every_field_of_a_recordings_header_reaches_the_capture(tmp_path: Path) -> None:
     plan = RecordingPlan(
         None, 1.5, 0.1, 0.2, cable_delay_ps=30.0, motion="free?rpm=2", object=ObjectInfo(label="helmet")
     )
     header = journal_header(plan, RadarConfig(), RadarInfo(serial=7))
     with JournalWriter(tmp_path / "j", header) as journal:
-        journal.append(0, 10**18, 0.0, scan(0))
-        journal.close()
+        for number in range(3):
+            journal.append(100 + number, 10**18 + number, 21.5 * number, scan(number), flags=number)
+        journal.close({"radar": {"scans_lost": 2}})
+    with pytest.raises(StorageError, match="already exists"):
+        JournalWriter(tmp_path / "j", header)
     capture = read_journal_capture(tmp_path / "j")
+    assert capture.complete and capture.samples.dtype == np.int32
+    np.testing.assert_array_equal(capture.samples, np.stack([scan(number) for number in range(3)]))
+    assert (capture.scan_id.tolist(), capture.flags.tolist()) == ([100, 101, 102], [0, 1, 2])
+    assert (capture.host_time_ns - 10**18).tolist() == [0, 1, 2]
+    assert capture.radar_time_ms.tolist() == [0, 21.5, 43]
     for name in set(header) - {"metadata_version", "radar", "motion", "object"}:
         assert getattr(capture, name) == header[name], name
     assert capture.range_start_m == RadarConfig().range_start_m(30.0)
-    assert capture.radar == RadarInfo(serial=7, config=RadarConfig().stored(), cable_delay_ps=30.0)
+    stored = RadarConfig().stored()
+    assert capture.radar == RadarInfo(serial=7, config=stored, cable_delay_ps=30.0, scans_lost=2)
     assert (capture.motion, capture.object) == (MotionInfo(url="free?rpm=2"), plan.object)
     assert journal_header(plan, RadarConfig(), RadarInfo())["uuid"] != header["uuid"]
 
