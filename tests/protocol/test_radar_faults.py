@@ -8,7 +8,6 @@ import threading
 import time
 from collections import defaultdict
 from contextlib import AbstractContextManager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,27 +51,14 @@ class Witness(UdpLink):
         return packet
 
 
-def dropped(port: int) -> int:
-    """Datagrams that this computer dropped at a UDP port, as nobody took them in time (Linux, proc(5))."""
-    rows = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
-    return sum(int(row[-1]) for row in rows if int(row[1].rpartition(":")[2], 16) == port)
-
-
-FAULTS = [
-    {"lose": 0.0},
-    {"lose": 0.3},
-    {"reorder": 0.5},
-    {"lose": 0.3, "duplicate": 0.1, "reorder": 0.2, "delay": 0.2, "delay_s": 0.05},
-    {"delay": 1.0, "delay_s": 0.05, "rate": 1.0},
-]
-
-
-@pytest.mark.parametrize("faults", FAULTS, ids=lambda f: " ".join(f"{k}={v}" for k, v in f.items()))
+@pytest.mark.parametrize(
+    "faults",
+    [{"reorder": 0.5}, {"lose": 0.3, "duplicate": 0.1, "reorder": 0.2, "delay": 0.2, "delay_s": 0.05}],
+    ids=lambda faults: " ".join(faults),
+)
 def test_every_complete_scan_is_delivered_once_and_in_order(faults: dict[str, float]) -> None:
     """Three fragments a scan at 700 scans a second; 50 ms of delay are 35 scans that overtake."""
-    with udp(
-        None, faults.get("rate", 0.0), **{k: v for k, v in faults.items() if k != "rate"}, seed=5
-    ) as device:
+    with udp(**faults, seed=5) as device:
         link = Witness(device.address)
         with P440(link, timeout=0.7, attempts=10) as radar:
             config = radar.set_config(THREE_FRAGMENTS)
@@ -81,13 +67,11 @@ def test_every_complete_scan_is_delivered_once_and_in_order(faults: dict[str, fl
             first_id = radar._talk.next_id  # the CONTROL request's, and so the first scan's
             got = list(radar.scans(400))
             statistics = radar.statistics
-            overrun = dropped(link.local_port)
         complete = sorted(scan_id for (scan_id, _), parts in link.parts.items() if len(parts) == 3)
         assert [scan.scan_id for scan in got] == complete
         check(got, first_id, config.samples)
         assert statistics.lost_scans == 400 - len(got)
-        # A radar at its own pace does not wait for a computer that is busy with something else.
-        assert (len(got) < 400) == bool(faults.get("lose") or overrun)
+        assert (len(got) < 400) == ("lose" in faults)
         assert (statistics.duplicate > 0) == ("duplicate" in faults)
 
 
@@ -152,10 +136,7 @@ def test_a_client_that_comes_back_to_its_port_is_not_confused_by_its_old_scans()
 
 @WIRES
 def test_a_confirm_behind_residual_scans_ends_the_run(wire: str) -> None:
-    with (
-        radar_on(wire, core(Firmware(residual_scans=7))) as device,
-        open_radar(device.url) as radar,
-    ):
+    with radar_on(wire, core(Firmware(residual_scans=7))) as device, open_radar(device.url) as radar:
         for _ in range(3):
             run = radar.scans()
             got = [next(run) for _ in range(20)]
@@ -226,27 +207,6 @@ def check_joined(got: list, gap: ScanGap, config: RadarConfig) -> None:
     check(got[at:], got[at].scan_id, config.samples)
 
 
-@pytest.mark.parametrize("framing", list(Framing))
-def test_scans_go_on_after_the_plug_was_out(tmp_path, framing: Framing) -> None:
-    link = tmp_path / "radar"
-    with pty(framing, rate=1.0, link=link) as device, open_radar(device.url, 0.5) as radar:
-        config = radar.set_config(RadarConfig(12_000, 17_000, base_integration_index=6))
-        gaps: list[ScanGap] = []
-        got = []
-        for scan in steady_scans(radar, on_gap=gaps.append):
-            got.append(scan)
-            if len(got) == 30:
-                device.unplug()
-                # Put back under another name while the client is waiting for the old one.
-                device._server.order(device.wire.plug)
-            if gaps and len(got) > 60:
-                break
-        (gap,) = gaps
-        assert not gap.restarted  # the radar kept its power and its clock
-        assert "disappeared" in gap.reason
-        check_joined(got, gap, config)
-
-
 def test_scans_go_on_after_a_radar_was_silent_for_a_while() -> None:
     """Nothing for 0.9 s where 0.3 s are too long: asked once more, the radar is there again."""
     with udp(rate=1.0) as device, P440(UdpLink(*device.address), timeout=0.3) as radar:
@@ -289,10 +249,7 @@ def test_a_radar_that_comes_back_with_other_settings_is_not_recorded() -> None:
 @pytest.mark.parametrize("wire", ["udp", "uart"])
 def test_ids_and_clock_wrap_unnoticed(wire: str) -> None:
     """The clock is 50 ms before 2^32 ms, the ids 30 before 65536."""
-    with (
-        radar_on(wire, core(booted_s=4294967.296 - 0.05)) as device,
-        open_radar(device.url) as radar,
-    ):
+    with radar_on(wire, core(booted_s=4294967.296 - 0.05)) as device, open_radar(device.url) as radar:
         radar._talk.next_id = 65_506
         got = list(radar.scans(200))
         assert [scan.scan_id for scan in got] == list(range(65_506, 65_706))
@@ -302,6 +259,7 @@ def test_ids_and_clock_wrap_unnoticed(wire: str) -> None:
             clock - clock[0], np.arange(200) * radar.config.scan_period_s * 1e3, atol=1.01
         )
         check(got, 65_506, radar.config.samples)
+        assert len(list(radar.scans(3))) == 3
 
 
 def test_settings_quantised_otherwise_are_read_back_and_lead() -> None:

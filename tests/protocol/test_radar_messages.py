@@ -28,11 +28,8 @@ EXACT = [
     (T.SET_CONFIG_REQUEST, {"config": C}, "1001 0102" + CONFIG_HEX),
     (T.SET_CONFIG_CONFIRM, {"status": 3}, "1101 0102 00000003"),
     (T.GET_CONFIG_REQUEST, {}, "1002 0102"),
-    (
-        T.GET_CONFIG_CONFIRM,
-        {"config": C, "timestamp_ms": 258, "status": 1},
-        "1102 0102" + CONFIG_HEX + "00000102 00000001",
-    ),
+    (T.GET_CONFIG_CONFIRM, {"config": C, "timestamp_ms": 258, "status": 1},
+     "1102 0102" + CONFIG_HEX + "00000102 00000001"),
     (T.CONTROL_REQUEST, {"scan_count": 65535, "interval_us": 1}, "1003 0102 ffff 0000 00000001"),
     (T.CONTROL_CONFIRM, {}, "1103 0102 00000000"),
     (T.SERVER_CONNECT_REQUEST, {"ip": 0xC0A80164, "port": 21210}, "1004 0102 c0a80164 52da 0000"),
@@ -45,13 +42,9 @@ EXACT = [
     (T.GET_FILTER_CONFIRM, {"mask": 8}, "1107 0102 0008 00 00 00000000"),
     (T.DETECTION_LIST_INFO, {"count": 1}, "1201 0102 0001 0000" + "00" * 1400),
     (T.GET_STATUSINFO_REQUEST, {}, "f001 0102"),
-    (
-        T.GET_STATUSINFO_CONFIRM,
-        {"mrm_major": 2, "mrm_build": 440, "serial": 7, "temperature_quarter_c": -1, "package": b"P440"},
-        "f101 0102 02 00 01b8 00 00 0000 00000000 00000007 00000000 ffffffff 50343430"
-        + "00" * 28
-        + "00000000",
-    ),
+    (T.GET_STATUSINFO_CONFIRM,
+     {"mrm_major": 2, "mrm_build": 440, "serial": 7, "temperature_quarter_c": -1, "package": b"P440"},
+     "f101 0102 02 00 01b8 00 00 0000 00000000 00000007 00000000 ffffffff 50343430" + "00" * 32),
     (T.REBOOT_REQUEST, {}, "f002 0102"),
     (T.REBOOT_CONFIRM, {}, "f102 0102"),
     (T.SET_OPMODE_REQUEST, {"mode": 1}, "f003 0102 00000001"),
@@ -64,36 +57,16 @@ EXACT = [
     (T.GET_SLEEPMODE_CONFIRM, {"mode": 4}, "f106 0102 00000004 00000000"),
     (T.SET_BAUD_REQUEST, {"persist": 1, "baud": 115200}, "f00b 0102 01 00 0000 0001c200"),
     (T.SET_BAUD_CONFIRM, {}, "f10b 0102 00000000"),
-    (
-        T.INVALID_MESSAGE_CONFIRM,
-        {"bad_type": 0x1003, "bad_id": 9, "status": 5},
-        "f10c 0102 1003 0009 00000005",
-    ),
-    (
-        T.SCAN_INFO,
-        {
-            "node_id": 1,
-            "timestamp_ms": 1300269,
-            "scan_start_ps": 36684,
-            "scan_stop_ps": 106996,
-            "step_bins": 32,
-            "filter": 1,
-            "reserved2": 3,
-            "antenna_id": 2,
-            "operation_mode": 1,
-            "message_samples": 2,
-            "total_samples": 1052,
-            "message_index": 3,
-            "message_count": 4,
-            "samples": [-1, 2] + [0] * 348,
-        },
-        "f201 0102 00000001 0013d72d"
-        + "00" * 16
-        + "00008f4c 0001a1f4 0020 01 03 02 01 0002 0000041c 0003 0004"
-        "ffffffff 00000002" + "00" * 1392,
-    ),
+    (T.INVALID_MESSAGE_CONFIRM, {"bad_type": 0x1003, "bad_id": 9, "status": 5},
+     "f10c 0102 1003 0009 00000005"),
+    (T.SCAN_INFO,
+     {"node_id": 1, "timestamp_ms": 1300269, "scan_start_ps": 36684, "scan_stop_ps": 106996, "step_bins": 32,
+      "filter": 1, "reserved2": 3, "antenna_id": 2, "operation_mode": 1, "message_samples": 2,
+      "total_samples": 1052, "message_index": 3, "message_count": 4, "samples": [-1, 2] + [0] * 348},
+     "f201 0102 00000001 0013d72d" + "00" * 16 + "00008f4c 0001a1f4 0020 01 03 02 01 0002 0000041c 0003 0004"
+     "ffffffff 00000002" + "00" * 1392),
     (T.READY_INFO, {}, "f202 0102"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "fields", "expected"), EXACT, ids=[e[0].name for e in EXACT])
@@ -105,6 +78,10 @@ def test_bytes_are_exactly_those_of_the_api_and_come_back(
     message = decode(data)
     assert (message.type, message.id, message.name) == (kind, 0x0102, kind.name)
     assert message.fields.tobytes() == data
+    for wrong in (data + b"\0", data[:-1]):
+        with pytest.raises(MalformedMessage) as caught:
+            decode(wrong)
+        assert caught.value.status == Status.WRONG_SIZE
 
 
 def test_every_message_of_the_table_has_its_exact_bytes_here() -> None:
@@ -120,15 +97,6 @@ def test_old_firmware_is_understood() -> None:
     assert decode(bytes.fromhex("f106 0001 00000001"))["mode"] == 1
 
 
-@pytest.mark.parametrize("kind", list(MessageType))
-def test_a_byte_more_or_less_is_no_message(kind: MessageType) -> None:
-    data = encode(kind, 1)
-    for wrong in (data + b"\0", data[:-1]):
-        with pytest.raises(MalformedMessage) as caught:
-            decode(wrong)
-        assert caught.value.status == Status.WRONG_SIZE
-
-
 def test_unknown_types_and_values() -> None:
     with pytest.raises(MalformedMessage) as caught:
         decode(bytes.fromhex("12340001"))
@@ -137,7 +105,6 @@ def test_unknown_types_and_values() -> None:
         encode(T.CONTROL_REQUEST, 1, scan_count=65536)
     with pytest.raises(KeyError):
         encode(T.CONTROL_REQUEST, 1, scans=1)
-    assert status_text(5) == "message of the wrong size"
     assert status_text(0x99) == "unknown status 0x99"
 
 
@@ -155,27 +122,20 @@ def test_the_grid_is_that_of_the_real_radar() -> None:
     assert CONFIG.range_start_m(10_000) == pytest.approx(3.9998, abs=1e-4)
 
 
-@pytest.mark.parametrize("start", range(-5000, 100_000, 997))
-def test_quantising_twice_changes_nothing(start: int) -> None:
-    once = RadarConfig(scan_start_ps=start, scan_stop_ps=start + 20_000).quantised()
-    assert once.quantised() == once
-    assert once.samples % 96 == 0
-    assert once.samples * 61.03515625 == pytest.approx(once.scan_stop_ps - once.scan_start_ps, abs=1.0)
-    assert once.scan_stop_ps >= start + 20_000 - 4  # nothing that was asked for is cut off
+def test_quantising_twice_changes_nothing_and_cuts_nothing_off() -> None:
+    for start in range(-5000, 100_000, 997):
+        once = RadarConfig(scan_start_ps=start, scan_stop_ps=start + 20_000).quantised()
+        assert once.quantised() == once
+        assert once.samples % 96 == 0
+        assert once.samples * 61.03515625 == pytest.approx(once.scan_stop_ps - once.scan_start_ps, abs=1.0)
+        assert once.scan_stop_ps >= start + 20_000 - 4
 
 
 @pytest.mark.parametrize(
     "bad",
-    [
-        {"transmit_gain": 64},
-        {"base_integration_index": 5},
-        {"code_channel": 11},
-        {"antenna_mode": 4},
-        {"scan_stop_ps": 10_000},
-        {"scan_stop_ps": 2_000_000},
-        {"scan_start_ps": 1.5},
-    ],
-)
+    [{"transmit_gain": 64}, {"base_integration_index": 5}, {"code_channel": 11}, {"antenna_mode": 4},
+     {"scan_stop_ps": 10_000}, {"scan_stop_ps": 2_000_000}, {"scan_start_ps": 1.5}],
+)  # fmt: skip
 def test_settings_out_of_range_are_refused(bad: dict[str, int]) -> None:
     with pytest.raises(ConfigError) as caught:
         RadarConfig(**bad)

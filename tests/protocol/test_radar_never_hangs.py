@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from tagid.radar.links import UdpLink
 from tagid.radar.messages import MessageType, encode
 from tagid.radar.p440 import P440
 from tagid.radar.resume import steady_scans
-from tagid.radar.scan_info import SCAN_INFO_HEAD, read_fragment
+from tagid.radar.scan_info import read_fragment
 from tagid.radar.settings import RadarConfig
 from tagid.radar.urls import open_link
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
@@ -30,58 +30,44 @@ from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
 from tagid.recording.session import start_journal
 from tagid.storage.importers import read_any
+from tests.processes import TAGID
 
 
-class Incomplete(UdpLink):
-    """Loses the second fragment of every scan from `after` fragments on."""
+class Incomplete(EmulatorCore):
+    """A radar that sends `whole` whole scans, and no second fragment of those after them."""
 
-    def __init__(self, address: tuple[str, int], after: int = 0, clock_ms: int | None = None) -> None:
-        super().__init__(*address)
-        self._left, self._clock_ms = after, clock_ms
+    def __init__(self, whole: int = 0) -> None:
+        super().__init__(Numbered(), THREE_FRAGMENTS)
+        self._whole = whole
+        self.incomplete = threading.Event()
 
-    @property
-    def incomplete(self) -> bool:
-        """Whether it has begun to lose fragments."""
-        return self._left < 0
-
-    def receive(self, timeout: float) -> bytes | None:
-        packet = super().receive(timeout)
-        if packet is None or not packet.startswith(SCAN_INFO_HEAD):
-            return packet
-        fragment = read_fragment(packet)
-        assert fragment is not None
-        self._left -= 1
-        if self._left < 0 and fragment.part == 1:
-            return self.receive(0.0)
-        if self._clock_ms is not None:  # timestamp: bytes 8 to 11
-            packet = packet[:8] + self._clock_ms.to_bytes(4, "big") + packet[12:]
-        return packet
+    def step(self) -> list[bytes]:
+        packets = super().step()
+        self._whole -= 1
+        if self._whole >= 0:
+            return packets
+        self.incomplete.set()
+        return packets[:1] + packets[2:]
 
 
-@pytest.fixture
-def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A radar without whole scans is given up after a second, not five."""
-    monkeypatch.setattr(p440_module, "_WHOLE_S", 0.3)
+class StandingClock(EmulatorCore):
+    """A radar whose timestamps, bytes 8 to 11 of a scan, are all the same."""
+
+    def step(self) -> list[bytes]:
+        return [packet[:8] + bytes(4) + packet[12:] for packet in super().step()]
 
 
-@pytest.mark.usefixtures("soon")
-def test_fragments_that_never_make_a_scan_end_the_run_and_say_so() -> None:
-    with udp() as device, P440(Incomplete(device.address), timeout=0.7) as radar:
-        radar.set_config(THREE_FRAGMENTS)
-        with pytest.raises(DeviceTimeoutError, match=r"\d+ packets arrived .* no complete scan: fragments"):
-            list(radar.scans())
-        assert not device.core.scanning
-
-
-@pytest.mark.usefixtures("soon")
-def test_a_radar_that_comes_back_without_a_whole_scan_is_given_up() -> None:
+def test_a_radar_that_comes_back_without_a_whole_scan_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """It answers every request, so only the time since the last whole scan can end this."""
-    with udp() as device, P440(Incomplete(device.address, after=300), timeout=0.7) as radar:
+    monkeypatch.setattr(p440_module, "_WHOLE_S", 0.3)
+    with udp(Incomplete(whole=100)) as device, P440(UdpLink(*device.address), timeout=0.7) as radar:
         radar.set_config(THREE_FRAGMENTS)
         run = steady_scans(radar, resume_s=0.5)
         assert len([next(run) for _ in range(50)]) == 50
-        with pytest.raises(DeviceTimeoutError, match="no complete scan: fragments are missing"):
+        missing = r"\d+ packets arrived .* no complete scan: fragments are missing"
+        with pytest.raises(DeviceTimeoutError, match=missing):
             list(run)
+        assert not device.core.scanning
 
 
 def test_the_caller_is_asked_while_no_whole_scan_comes() -> None:
@@ -92,7 +78,7 @@ def test_the_caller_is_asked_while_no_whole_scan_comes() -> None:
         asked.append(time.monotonic())
         return len(asked) == 3
 
-    with udp() as device, P440(Incomplete(device.address)) as radar:
+    with udp(Incomplete()) as device, P440(UdpLink(*device.address)) as radar:
         radar.set_config(THREE_FRAGMENTS)
         assert list(radar.scans(until=until)) == []
         assert len(asked) == 3
@@ -100,10 +86,9 @@ def test_the_caller_is_asked_while_no_whole_scan_comes() -> None:
 
 
 def test_a_limit_holds_where_the_radars_clock_stands_still(tmp_path: Path) -> None:
-    with udp(rate=1.0) as device:
-        radar = P440(Incomplete(device.address, after=10**9, clock_ms=5000))
-        limits = RecordingLimits(seconds=0.2)
-        written = record_long(radar, RecordingPlan(THREE_FRAGMENTS, 1.0), limits, tmp_path / "a.tagid.h5")
+    with udp(StandingClock(Numbered()), rate=1.0) as device:
+        plan, limits = RecordingPlan(THREE_FRAGMENTS, 1.0), RecordingLimits(seconds=0.2)
+        written = record_long(open_radar(device.url), plan, limits, tmp_path / "a.tagid.h5")
     assert written.complete
     assert written.views > 0
     assert np.ptp(read_any(written.paths[0]).radar_time_ms) == 0
@@ -111,64 +96,27 @@ def test_a_limit_holds_where_the_radars_clock_stands_still(tmp_path: Path) -> No
 
 def test_stop_ends_a_recording_of_a_radar_that_sends_no_whole_scan_after_a_while(tmp_path: Path) -> None:
     stop = threading.Event()
-    with udp() as device:
-        radar = P440(Incomplete(device.address, after=9000))
+    with udp(Incomplete(whole=3000)) as device:
         watch = RecordingWatch(progress=lambda state: stop.set(), stop=stop.is_set)
         plan = RecordingPlan(THREE_FRAGMENTS, 1.0)
-        written = record_long(radar, plan, RecordingLimits(), tmp_path / "a.tagid.h5", watch)
+        written = record_long(open_radar(device.url), plan, RecordingLimits(), tmp_path / "a.tagid.h5", watch)
     assert written.complete
     assert 0 < written.views <= 3000
 
 
-class Echo:
-    """A UDP port that answers, but is no radar."""
-
-    def __init__(self, answer: bytes) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self._answer = answer
-        self.address = self._socket.getsockname()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-
-    def _work(self) -> None:
-        while True:
-            try:
-                asked, sender = self._socket.recvfrom(2048)
-            except OSError:
-                return
-            if asked == b"end":
-                return
-            self._socket.sendto(self._answer, sender)
-
-    def __enter__(self) -> Echo:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.sendto(b"end", self.address)
-        self._thread.join(5)
-        self._socket.close()
-
-
-def test_something_that_answers_but_not_as_a_p440_is_told_from_silence() -> None:
-    with Echo(b"HTTP/1.1 400 Bad Request") as peer:
-        radar = P440(UdpLink(*peer.address), timeout=0.2)
-        with pytest.raises(DeviceTimeoutError, match=r"answers at .*, but not as a P440"):
-            radar.connect()
-        radar.close()
-
-
-def test_a_serial_device_that_sends_other_bytes_is_told_from_silence() -> None:
-    with pty() as device:
+@pytest.mark.parametrize("wire", [udp, pty])
+def test_something_that_answers_but_not_as_a_p440_is_told_from_silence(wire: Callable[[], Any]) -> None:
+    with wire() as device:
 
         def answer(packet: bytes) -> list[bytes]:
+            if wire is udp:
+                return [b"HTTP/1.1 400 Bad Request"]
             device.wire.write_raw(b"$GPGGA,123519,4807.038,N*47\r\n")
             return []
 
         device.order(lambda: setattr(device.core, "handle", answer))
         radar = P440(open_link(device.url)(), timeout=0.3)
-        with pytest.raises(DeviceTimeoutError, match="but not as a P440"):
+        with pytest.raises(DeviceTimeoutError, match=r"answers at .*, but not as a P440"):
             radar.connect()
         radar.close()
 
@@ -257,52 +205,24 @@ def test_a_journal_that_vanishes_or_shrinks_ends_the_recording_with_an_error(
     with udp(rate=1.0) as device:
         watch = RecordingWatch(progress)
         with pytest.raises(StorageError, match="while it was recorded to"):
-            record_long(
-                open_radar(device.url),
-                RecordingPlan(None, 1.0),
-                RecordingLimits(seconds=3600),
-                folder / "a.tagid.h5",
-                watch,
-            )
+            plan, limits = RecordingPlan(None, 1.0), RecordingLimits(seconds=3600)
+            record_long(open_radar(device.url), plan, limits, folder / "a.tagid.h5", watch)
     assert not list(tmp_path.rglob("*.h5"))
 
 
-def test_the_first_ctrl_c_ends_a_recording_while_only_fragments_come(tmp_path: Path) -> None:
-    """The whole command, over UDP, with every second fragment lost on the way after twenty whole scans."""
-    relay = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    relay.bind(("127.0.0.1", 0))
-    relay.settimeout(0.01)
-    flooding, over = threading.Event(), threading.Event()
-
-    def work() -> None:
-        client = None
-        up = Incomplete(device.address, after=60)
-        while not over.is_set():
-            try:
-                packet, client = relay.recvfrom(4096)
-                up.send(packet)
-            except TimeoutError:
-                pass
-            while (answer := up.receive(0.0)) is not None:
-                if up.incomplete:
-                    flooding.set()
-                relay.sendto(answer, client)
-        up.close()
-
-    with udp(EmulatorCore(Numbered(), THREE_FRAGMENTS), rate=1.0) as device:
-        thread = threading.Thread(target=work)
-        thread.start()
-        command = [sys.executable, "-m", "tagid", "radar", "record", "--output", "json", "--radar"]
-        url = "udp://{}:{}".format(*relay.getsockname())
+def test_the_first_ctrl_c_ends_a_recording_while_only_fragments_come(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    """The whole command, over UDP, after twenty whole scans."""
+    radar = Incomplete(whole=20)
+    with udp(radar, rate=1.0) as device:
         process = subprocess.Popen(
-            [*command, url, "--save-dir", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-        assert flooding.wait(60)
+            [*TAGID, "radar", "record", "--radar", device.url, "--save-dir", str(tmp_path)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=home,
+        )  # fmt: skip
+        assert radar.incomplete.wait(60)
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
-        over.set()
-        thread.join()
-    relay.close()
     assert process.returncode == 0, errors
     (path,) = tmp_path.glob("*.tagid.h5")
     assert 0 < read_any(path).views <= 20
