@@ -22,39 +22,29 @@ READ = PropertyAccess.READ
 PASSKEY_FLAG, TRUSTED_FLAG = 2, 4
 
 
+def shown(name, signature, value):
+    """A property that can be read."""
+
+    def get(self):
+        return value(self)
+
+    get.__name__, get.__annotations__["return"] = name, signature
+    return dbus_property(READ)(get)
+
+
 class Characteristic(ServiceInterface):
     def __init__(self, uuid, flags, handle, service, written=None, value=b""):
         super().__init__("org.bluez.GattCharacteristic1")
         self.uuid, self.flags, self.handle, self.service = uuid, flags, handle, service
         self.written, self.value, self.notifying = written, value, False
 
-    @dbus_property(access=READ)
-    def UUID(self) -> "s":
-        return self.uuid
-
-    @dbus_property(access=READ)
-    def Service(self) -> "o":
-        return self.service
-
-    @dbus_property(access=READ)
-    def Flags(self) -> "as":
-        return self.flags
-
-    @dbus_property(access=READ)
-    def Handle(self) -> "q":
-        return self.handle
-
-    @dbus_property(access=READ)
-    def MTU(self) -> "q":
-        return 247
-
-    @dbus_property(access=READ)
-    def Notifying(self) -> "b":
-        return self.notifying
-
-    @dbus_property(access=READ)
-    def Value(self) -> "ay":
-        return self.value
+    UUID = shown("UUID", "s", lambda self: self.uuid)
+    Service = shown("Service", "o", lambda self: self.service)
+    Flags = shown("Flags", "as", lambda self: self.flags)
+    Handle = shown("Handle", "q", lambda self: self.handle)
+    MTU = shown("MTU", "q", lambda self: 247)
+    Notifying = shown("Notifying", "b", lambda self: self.notifying)
+    Value = shown("Value", "ay", lambda self: self.value)
 
     @dbus_method()
     def ReadValue(self, options: "a{sv}") -> "ay":
@@ -86,21 +76,10 @@ class Service(ServiceInterface):
         super().__init__("org.bluez.GattService1")
         self.uuid, self.handle = uuid, handle
 
-    @dbus_property(access=READ)
-    def UUID(self) -> "s":
-        return self.uuid
-
-    @dbus_property(access=READ)
-    def Device(self) -> "o":
-        return DEVICE
-
-    @dbus_property(access=READ)
-    def Primary(self) -> "b":
-        return True
-
-    @dbus_property(access=READ)
-    def Handle(self) -> "q":
-        return self.handle
+    UUID = shown("UUID", "s", lambda self: self.uuid)
+    Device = shown("Device", "o", lambda self: DEVICE)
+    Primary = shown("Primary", "b", lambda self: True)
+    Handle = shown("Handle", "q", lambda self: self.handle)
 
 
 class Device(ServiceInterface):
@@ -111,37 +90,14 @@ class Device(ServiceInterface):
         self.agent = None
         self.info = None
 
-    @dbus_property(access=READ)
-    def Address(self) -> "s":
-        return "F0:F1:F2:F3:F4:01"
-
-    @dbus_property(access=READ)
-    def AddressType(self) -> "s":
-        return "random"
-
-    @dbus_property(access=READ)
-    def Name(self) -> "s":
-        return NAME
-
-    @dbus_property(access=READ)
-    def Alias(self) -> "s":
-        return NAME
-
-    @dbus_property(access=READ)
-    def Adapter(self) -> "o":
-        return ADAPTER
-
-    @dbus_property(access=READ)
-    def RSSI(self) -> "n":
-        return -50
-
-    @dbus_property(access=READ)
-    def UUIDs(self) -> "as":
-        return [protocol.NUS]
-
-    @dbus_property(access=READ)
-    def Paired(self) -> "b":
-        return self.paired
+    Address = shown("Address", "s", lambda self: "F0:F1:F2:F3:F4:01")
+    AddressType = shown("AddressType", "s", lambda self: "random")
+    Name = shown("Name", "s", lambda self: NAME)
+    Alias = shown("Alias", "s", lambda self: NAME)
+    Adapter = shown("Adapter", "o", lambda self: ADAPTER)
+    RSSI = shown("RSSI", "n", lambda self: -50)
+    UUIDs = shown("UUIDs", "as", lambda self: [protocol.NUS])
+    Paired = shown("Paired", "b", lambda self: self.paired)
 
     @dbus_property()
     def Trusted(self) -> "b":
@@ -151,13 +107,8 @@ class Device(ServiceInterface):
     def Trusted(self, value: "b"):
         self.trusted = value
 
-    @dbus_property(access=READ)
-    def Connected(self) -> "b":
-        return self.connected
-
-    @dbus_property(access=READ)
-    def ServicesResolved(self) -> "b":
-        return self.resolved
+    Connected = shown("Connected", "b", lambda self: self.connected)
+    ServicesResolved = shown("ServicesResolved", "b", lambda self: self.resolved)
 
     @dbus_method()
     async def Connect(self):
@@ -237,25 +188,11 @@ class Adapter(ServiceInterface):
         self.bus, self.device, self.discovering, self.shown, self.task = bus, device, False, False, None
         self.errors = sys.argv[3:]
 
-    @dbus_property(access=READ)
-    def Address(self) -> "s":
-        return "AA:BB:CC:00:00:01"
-
-    @dbus_property(access=READ)
-    def Name(self) -> "s":
-        return "hci0"
-
-    @dbus_property(access=READ)
-    def Powered(self) -> "b":
-        return True
-
-    @dbus_property(access=READ)
-    def Discovering(self) -> "b":
-        return self.discovering
-
-    @dbus_property(access=READ)
-    def Roles(self) -> "as":
-        return ["central", "peripheral"]
+    Address = shown("Address", "s", lambda self: "AA:BB:CC:00:00:01")
+    Name = shown("Name", "s", lambda self: "hci0")
+    Powered = shown("Powered", "b", lambda self: True)
+    Discovering = shown("Discovering", "b", lambda self: self.discovering)
+    Roles = shown("Roles", "as", lambda self: ["central", "peripheral"])
 
     @dbus_method()
     def SetDiscoveryFilter(self, properties: "a{sv}"):

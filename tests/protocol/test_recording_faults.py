@@ -7,21 +7,22 @@ import json
 import os
 import resource
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from radar_ends import core, numbered, pty, udp
+from command_server import Ran
+from radar_ends import numbered, pty, udp
 
 from tagid.capture import ViewFlag
 from tagid.errors import DiskFullError, StorageError, TagidError
 from tagid.motion.urls import open_motion
 from tagid.operate.words import notes
 from tagid.radar.assembler import Scan
+from tagid.radar.framing import Framing
 from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan
@@ -30,15 +31,18 @@ from tagid.recording.recorder import Watch, record
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalScan, JournalWriter, open_journal
 from tagid.storage.journal_queue import JournalQueue
+from tests.processes import TAGID
 from tests.unit.storage_samples import read_journal
 
 HEADER = {"range_start_m": 1.0, "range_step_m": 0.009}
 FAST = RadarConfig(12_000, 17_000, base_integration_index=6)
 
 
-def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(tmp_path: Path) -> None:
-    link = tmp_path / "radar"
-    with pty(link=link, rate=1.0) as device:
+@pytest.mark.parametrize("framing", list(Framing))
+def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(
+    tmp_path: Path, framing: Framing
+) -> None:
+    with pty(framing, link=tmp_path / "radar", rate=1.0) as device:
         pulled = threading.Event()
 
         def progress(count: int, seconds: float) -> None:
@@ -57,7 +61,8 @@ def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(tmp_path: 
     (gap,) = capture.radar.gaps
     (at,) = np.flatnonzero(capture.flags & ViewFlag.AFTER_GAP)
     assert capture.flags[at] & ViewFlag.AFTER_LOSS
-    assert gap.seconds >= 0.2
+    assert gap.seconds >= 0.2 and not gap.restarted, "the radar kept its power and its clock"
+    assert "disappeared" in gap.reason
     assert capture.scan_id[at - 1] == gap.after_scan
     assert capture.radar_time_ms[at] - capture.radar_time_ms[at - 1] == pytest.approx(
         gap.seconds * 1e3, abs=1
@@ -167,15 +172,14 @@ def test_a_disk_that_fills_keeps_what_fits_and_says_so(tmp_path: Path) -> None:
     assert journal.scans == len(kept)
 
 
-def test_a_full_disk_in_the_middle_of_a_scan_is_one_clear_error_and_nothing_is_lost(tmp_path: Path) -> None:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    environment |= {"TAGID_CONFIG": str(tmp_path / "c.toml"), "TAGID_DATA": str(tmp_path / "data")}
-    run = [sys.executable, "-m", "tagid"]
-    with udp(core()) as device:
+def test_a_full_disk_in_the_middle_of_a_scan_is_one_clear_error_and_nothing_is_lost(
+    tagid: Callable[..., Ran], home: dict[str, str], tmp_path: Path
+) -> None:
+    with udp() as device:
         done = subprocess.run(
-            [*run, "scan", "--radar", device.url, "--axis-distance", "1", "--save-dir", str(tmp_path),
+            [*TAGID, "scan", "--radar", device.url, "--axis-distance", "1", "--save-dir", str(tmp_path),
              "--scans", "2000", "--output", "json"],
-            capture_output=True, text=True, env=environment, timeout=60,
+            capture_output=True, text=True, env=home, timeout=60,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
         )  # fmt: skip
         assert not device.core.scanning
@@ -185,10 +189,7 @@ def test_a_full_disk_in_the_middle_of_a_scan_is_one_clear_error_and_nothing_is_l
     assert (done.returncode, error["code"]) == (1, "disk_full")
     assert f"tagid recover {journal}" in error["remedy"]
     assert not list(tmp_path.glob("*.h5"))
-    recovered = subprocess.run(
-        [*run, "recover", str(journal), "--output", "json"], capture_output=True, text=True, env=environment
-    )
-    assert recovered.returncode == 0, recovered.stdout
+    assert tagid("recover", journal).code == 0
     (capture,) = tmp_path.glob("*.h5")
     assert read_any(capture).views > 50
 

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,13 +16,14 @@ pytest.importorskip("bleak", reason="needs bleak")
 if shutil.which("dbus-daemon") is None:
     pytest.skip("needs dbus-daemon (apt install dbus)", allow_module_level=True)
 
-from robots import comes_to_rest
+from robots import comes_to_rest, turned
 
 from tagid.errors import DeviceError
 from tagid.motion.emulation.roomba import RoombaHost
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion
+from tests.processes import wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -45,10 +45,7 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     conf.write_text(BUS.format(socket=socket))
     words = ["dbus-daemon", f"--config-file={conf}", "--nofork", "--nopidfile"]
     daemon = subprocess.Popen(words, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 20
-    while not socket.exists():
-        assert daemon.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(socket.exists, daemon)
     monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", f"unix:path={socket}")
     yield
     daemon.terminate()
@@ -77,11 +74,7 @@ def test_a_robot_turns_over_bluez_after_pairing_by_passkey(bus: None) -> None:
         motion = open_motion("roomba+ble://robot-1?passkey=482913&wait=1&step=3")
         assert isinstance(motion, Roomba)
         motion.start()
-        deadline = time.monotonic() + 20
-        while motion.turned_rad < 0.3:
-            motion.check()
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        turned(motion, 0.3)
         motion.stop()
         assert comes_to_rest(host, 2)
         assert host.core.mode is Mode.PASSIVE and host.core.body.heading_rad > 0.25
