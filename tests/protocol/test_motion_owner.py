@@ -23,6 +23,7 @@ from tagid.motion.emulation.truth import TrueAngle
 from tagid.motion.guardian import Guardian, Watch, _socket_name, ask_to_stop
 from tagid.motion.links import SerialLink
 from tagid.motion.urls import open_motion
+from tests.e2e.test_scan_roomba import scan_words
 from tests.processes import TAGID, emulated, wait_until
 
 pytestmark = pytest.mark.realtime
@@ -31,13 +32,17 @@ LIMIT_S = 0.5
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+def home(home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     run = tmp_path / "run"
     run.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(run))
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    folder = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
-    return {**environment, **folder, "OMP_NUM_THREADS": "1"}
+    return home | {"XDG_RUNTIME_DIR": str(run)}
+
+
+def motion_stop(home: dict[str, str], url: str) -> subprocess.CompletedProcess[str]:
+    """`tagid motion stop URL` in a process of its own."""
+    words = [*TAGID, "motion", "stop", url]
+    return subprocess.run(words, env=home, capture_output=True, text=True, timeout=60)
 
 
 @contextmanager
@@ -122,10 +127,7 @@ def test_motion_stop_works_while_another_process_holds_the_port(
 ) -> None:
     with emulated(home, device) as (there, _), spinning(home, there) as (process, truth):
         elsewhere = {k: v for k, v in home.items() if k != "XDG_RUNTIME_DIR"} | {"TMPDIR": str(tmp_path)}
-        stop = subprocess.run(
-            [*TAGID, "motion", "stop", there["url"]],
-            env=elsewhere, capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
+        stop = motion_stop(elsewhere, there["url"])
         assert stop.returncode == 0, stop.stderr
         stands_after(truth, time.monotonic())
         assert "stopped by another process" in ended(process)["message"]
@@ -135,10 +137,7 @@ def test_motion_stop_finds_a_bluetooth_table_by_all_its_names(home: dict[str, st
     """Typed here is a prefix of its advertised name; nobody advertises while a program is connected."""
     pytest.importorskip("bumble", reason="needs bumble: pip install ./firmware_tools")
     with emulated(home, "revopoint") as (there, _), spinning(home, there) as (process, truth):
-        stop = subprocess.run(
-            [*TAGID, "motion", "stop", there["url"].replace("://", "://revo_dual")],
-            env=home, capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
+        stop = motion_stop(home, there["url"].replace("://", "://revo_dual"))
         assert stop.returncode == 0, stop.stderr
         stands_after(truth, time.monotonic())
         assert "stopped by another process" in ended(process)["message"]
@@ -148,31 +147,15 @@ def test_motion_stop_works_while_the_driver_hangs(home: dict[str, str]) -> None:
     """The guardian alone is asked; it has stopped the robot already, and does it again."""
     with emulated(home, "roomba") as (there, _), spinning(home, there) as (process, truth):
         process.send_signal(signal.SIGSTOP)
-        stop = subprocess.run([*TAGID, "motion", "stop", there["url"]], env=home, timeout=60)
+        stop = motion_stop(home, there["url"])
         assert stop.returncode == 0 and not truth.state()["moving"]
 
 
-def test_a_link_that_is_lost_says_first_that_it_may_still_turn(home: dict[str, str]) -> None:
-    with emulated(home, "roomba") as (there, robot), spinning(home, there) as (process, _):
-        robot.kill()
-        assert ended(process)["message"].startswith("It may still be turning: lift it")
-
-
-def test_an_emulated_radar_that_watches_it_says_so_too(home: dict[str, str], tmp_path: Path) -> None:
+def test_a_link_that_is_lost_says_first_that_it_may_still_turn(home: dict[str, str], tmp_path: Path) -> None:
+    """The emulated radar that watches the robot says so, too."""
     with emulated(home, "roomba") as (there, robot):
-        radar = f"emulator://helmet-120?rate=1&turned_by={there['truth']}"
-        words = [
-            "--radar",
-            radar,
-            "--motion",
-            there["url"],
-            "--axis-distance",
-            "1",
-            "--save-dir",
-            str(tmp_path),
-        ]
         scan = subprocess.Popen(
-            [*TAGID, "scan", *words, "--yes", "--output", "json"],
+            [*scan_words(there, tmp_path), "--yes"],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
         )  # fmt: skip
         truth = TrueAngle(there["truth"])
@@ -198,8 +181,9 @@ def guarded() -> Iterator[tuple[str, int]]:
     yield name, read
     guard.release()
     assert ask_to_stop(name) is False
-    for descriptor in (read, write):
-        os.close(descriptor)
+    os.close(write)
+    assert os.read(read, 100) == b"", "a guardian that was told farewell writes nothing"
+    os.close(read)
 
 
 def asked_by(uid: int, name: str, **environment: str) -> str:
@@ -269,9 +253,7 @@ while True: line.accept()[0].sendall(b"stopped")
 def test_a_held_port_without_a_guardian_is_told_with_its_holder(home: dict[str, str]) -> None:
     with emulated(home, "comxim") as (there, _):
         port = SerialLink(there["url"].partition("://")[2], 115200, b"")
-        stop = subprocess.run(
-            [*TAGID, "motion", "stop", there["url"]], env=home, capture_output=True, text=True, timeout=60
-        )
+        stop = motion_stop(home, there["url"])
         port.close()
     user = pwd.getpwuid(os.getuid()).pw_name
     assert stop.returncode == 4 and "It may still be turning: " in stop.stderr
@@ -310,16 +292,6 @@ def test_the_guardian_gets_a_scope_of_its_own_where_there_is_one(
     for descriptor in (read, write):
         os.close(descriptor)
     assert "bus" not in capfd.readouterr().err
-
-
-def test_a_guardian_left_without_a_farewell_writes_three_halts(home: dict[str, str]) -> None:
-    read, write = os.pipe()
-    Guardian(Watch("one", 30.0, write, b"halt".hex())).release(farewell=False)
-    assert halts_in(read) == b"halt" * 3
-    Guardian(Watch("two", 30.0, write, b"halt".hex())).release()
-    os.close(write)
-    assert os.read(read, 100) == b""
-    os.close(read)
 
 
 STRANGERS = """

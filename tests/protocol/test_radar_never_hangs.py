@@ -111,7 +111,7 @@ def test_something_that_answers_but_not_as_a_p440_is_told_from_silence(wire: Cal
         def answer(packet: bytes) -> list[bytes]:
             if wire is udp:
                 return [b"HTTP/1.1 400 Bad Request"]
-            device.wire.write_raw(b"$GPGGA,123519,4807.038,N*47\r\n")
+            device.wire._frames.append(b"$GPGGA,123519,4807.038,N*47\r\n")
             return []
 
         device.order(lambda: setattr(device.core, "handle", answer))
@@ -135,7 +135,8 @@ def test_an_emulator_that_stalls_keeps_scene_and_timestamps_on_one_clock(stall_s
     radar = EmulatorCore(TimeTeller(), config, booted_s=0.0)
     period = radar.config.scan_period_s
     fragments = []
-    radar.handle(encode(MessageType.CONTROL_REQUEST, 10, scan_count=65_535))
+    count = 65_535 if stall_s < 2 else 60_000  # without an end, or with one
+    radar.handle(encode(MessageType.CONTROL_REQUEST, 10, scan_count=count))
     now = 0.0
     while now < 1.0:
         now += period / 2

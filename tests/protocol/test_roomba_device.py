@@ -25,8 +25,7 @@ from tagid.motion.urls import open_motion
 from tagid.pipeline.turn import resolve_turn
 from tagid.recording.plan import RecordingPlan
 from tagid.recording.radars import open_radar
-from tagid.recording.recorder import record
-from tagid.storage.importers import read_any
+from tagid.recording.recorder import Watch, record
 
 pytestmark = pytest.mark.realtime
 
@@ -50,18 +49,6 @@ def truth_at_last_reading(host: RoombaHost, motion: Roomba) -> float:
         return host.core.body.heading_at(time.monotonic() - ago)
 
 
-def test_bytes_outside_frames_are_counted_in_the_result(host: RoombaHost) -> None:
-    """A robot near its charger prints its own log between its packets."""
-    text = b"bat:   min 7  sec 41   mV 14980  mA -310  deg-C 23 \r\n"
-    motion = robot_at(host, "?step=3")
-    motion.start()
-    turned(motion, 0.1)
-    os.write(host.port._master, text)
-    turned(motion, 0.3)
-    motion.stop()
-    assert motion.track().info["bytes_dropped"] == len(text)
-
-
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
 def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, direction: str) -> None:
     motion = robot_at(host, f"?step=3&direction={direction}")
@@ -81,33 +68,16 @@ def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, directi
     ("event", "cause"),
     [("wheel-drop", "dropped wheel"), ("bump", "bumped"), ("cliff", "cliff"), ("charger", "charger")],
 )
-def test_what_happens_to_it_ends_the_recording_with_its_cause(
-    host: RoombaHost, tmp_path: Path, event: str, cause: str
-) -> None:
+def test_what_happens_to_it_stops_it_with_its_cause(host: RoombaHost, event: str, cause: str) -> None:
     motion = robot_at(host, "?step=3")
-    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}")
-
-    def later() -> None:
-        turned(motion, 0.3)
-        with host.port.lock:
-            happen(host.core.world, event)
-
-    threading.Thread(target=later, daemon=True).start()
-    path = tmp_path / "scan.tagid.h5"
-    plan = RecordingPlan(None, 1.0, motion="roomba+serial://" + host.port.path)
-    with pytest.raises(MotionStoppedError, match=cause) as error:
-        record(radar, motion, plan, path, _watch())
-    assert error.value.exit_code == 4 and str(path) in error.value.remedy
+    motion.start()
+    turned(motion, 0.1)
+    with host.port.lock:
+        happen(host.core.world, event)
+    with pytest.raises(MotionStoppedError, match=cause):
+        turned(motion, 3)
+    motion.stop()
     assert host.core.mode is Mode.PASSIVE and comes_to_rest(host, 2)
-    kept = read_any(path)
-    assert not kept.complete
-    assert kept.angles_rad is not None and np.ptp(kept.angles_rad) > 0.02
-
-
-def _watch() -> object:
-    from tagid.recording.recorder import Watch
-
-    return Watch(resolve=resolve_turn)
 
 
 def test_a_cable_that_falls_silent_is_told_within_half_a_second(host: RoombaHost) -> None:
@@ -164,13 +134,17 @@ def test_a_robot_that_may_not_turn_is_not_moved(world: World, cause: str) -> Non
 
 
 def test_garbage_before_and_between_frames_costs_nothing(host: RoombaHost) -> None:
-    """Another program's leftovers, text of a robot that wakes, and a stream that nobody stopped."""
+    """A stream that nobody stopped, and the robot's own log near its charger, which is counted."""
     with serial.Serial(host.port.path, 115200) as wire:
         wire.write(bytes([128, 148, 2, 43, 44]) + b"\x00\xff garbage \x13\x05")
-    motion = robot_at(host)
+    text = b"bat:   min 7  sec 41   mV 14980  mA -310  deg-C 23 \r\n"
+    motion = robot_at(host, "?step=3")
     motion.start()
-    turned(motion, 0.2)
+    turned(motion, 0.1)
+    os.write(host.port._master, text)
+    turned(motion, 0.3)
     motion.stop()
+    assert motion.track().info["bytes_dropped"] == len(text)
     assert motion.turned_rad == pytest.approx(truth_at_last_reading(host, motion), abs=np.radians(5))
 
 
@@ -285,7 +259,7 @@ def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_pat
     threading.Thread(target=silence, daemon=True).start()
     plan = RecordingPlan(None, 1.0, motion="roomba+serial://" + host.port.path, resume_s=0.2)
     with pytest.raises(DeviceError) as error:
-        record(radar, motion, plan, tmp_path / "scan.tagid.h5", _watch())
+        record(radar, motion, plan, tmp_path / "scan.tagid.h5", Watch(resolve=resolve_turn))
     assert "radar" in error.value.message
     assert comes_to_rest(host, 2)
     assert host.core.mode is Mode.PASSIVE

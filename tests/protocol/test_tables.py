@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,21 +23,6 @@ from tagid.motion.urls import open_motion
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "config.toml"))
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
-
-
-@dataclass(frozen=True)
-class Emulated:
-    """An emulated table, and the path of its serial port."""
-
-    core: ComximCore
-    path: str
-
-
-@pytest.fixture
-def comxim() -> Iterator[Emulated]:
-    core = ComximCore(now_s=time.monotonic())
-    with PtyPort(core) as port:
-        yield Emulated(core, port.path)
 
 
 def turn_and_compare(motion: DrivenMotion, table: TurningTable, radians: float) -> None:
@@ -65,10 +48,12 @@ def turn_and_compare(motion: DrivenMotion, table: TurningTable, radians: float) 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
-def test_a_comxim_table_tells_its_angle(comxim: Emulated, direction: str) -> None:
-    motion = open_motion(f"comxim+serial://{comxim.path}?direction={direction}&turns=1")
-    assert isinstance(motion, DrivenMotion)
-    turn_and_compare(motion, comxim.core.table, 0.3)
+def test_a_comxim_table_tells_its_angle(direction: str) -> None:
+    core = ComximCore(now_s=time.monotonic())
+    with PtyPort(core) as port:
+        motion = open_motion(f"comxim+serial://{port.path}?direction={direction}&turns=1")
+        assert isinstance(motion, DrivenMotion)
+        turn_and_compare(motion, core.table, 0.3)
 
 
 @pytest.mark.realtime
@@ -128,16 +113,18 @@ def test_the_direction_is_that_of_the_makers_documents(direction: str) -> None:
 
 
 @pytest.mark.realtime
-def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: Emulated) -> None:
-    comxim.core.table.blocked = True
-    motion = open_motion(f"comxim+serial://{comxim.path}")
-    begin = time.monotonic()
-    motion.start()
-    with pytest.raises(MotionStoppedError, match="nothing turns"):
-        while time.monotonic() - begin < 15:
-            motion.check()
-            time.sleep(0.01)
-    motion.stop()
+def test_a_table_that_cannot_turn_is_told_within_seconds() -> None:
+    core = ComximCore(now_s=time.monotonic())
+    core.table.blocked = True
+    with PtyPort(core) as port:
+        motion = open_motion(f"comxim+serial://{port.path}")
+        begin = time.monotonic()
+        motion.start()
+        with pytest.raises(MotionStoppedError, match="nothing turns"):
+            while time.monotonic() - begin < 15:
+                motion.check()
+                time.sleep(0.01)
+        motion.stop()
 
 
 def test_the_words_of_the_comxim_table() -> None:
@@ -204,19 +191,11 @@ def test_what_a_revopoint_table_refuses() -> None:
 
 @pytest.mark.parametrize(
     "url",
-    [
-        "comxim+serial://",
-        "comxim+serial:///dev/x?speed=0",
-        "revopoint+ble://?period=5",
-        "revopoint+ble://?passkey=12",
-        "index+ble://",
-        "roomba+serial:///dev/x?step=1.5",
-        "roomba+serial:///dev/x?step=1&rpm=2",
-        "roomba+serial:///dev/x?baud=31250",
-        "roomba+serial:///dev/x?nonsense=1",
-        "roomba+ble://",
-    ],
-)
+    ["comxim+serial://", "comxim+serial:///dev/x?speed=0", "revopoint+ble://?period=5",
+     "revopoint+ble://?passkey=12", "index+ble://", "roomba+serial:///dev/x?step=1.5",
+     "roomba+serial:///dev/x?step=1&rpm=2", "roomba+serial:///dev/x?baud=31250",
+     "roomba+serial:///dev/x?nonsense=1", "roomba+ble://"],
+)  # fmt: skip
 def test_options_that_make_no_sense(url: str) -> None:
     with pytest.raises(UsageError) as error:
         open_motion(url)

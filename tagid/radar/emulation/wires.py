@@ -218,11 +218,6 @@ class PtyWire:
                 self._frames.append(frame(packet, self._framing))
         self._pump()
 
-    def write_raw(self, data: bytes) -> None:
-        """Write bytes that form no frame to the line, after the queued frames."""
-        if self._ends is not None:
-            self._frames.append(data)
-
     def ready(self) -> bool:
         """Whether everything sent so far has been written; without a baud rate, nearly everything."""
         return self._ends is None or len(self._frames) + bool(self._rest) <= self._room
