@@ -42,10 +42,8 @@ def source(
     folder: Path, radar: str | Callable[[], str] = FAST, rpm: float | None = None, resume_s: float = 20.0
 ) -> Source:
     """Scans of an emulated helmet into a folder; a function gives each scan its own radar."""
-    motion = f"free?rpm={rpm or (0.5 if radar == ENDLESS else RPM):g}"
-
     settings = {
-        "motion.url": motion,
+        "motion.url": f"free?rpm={rpm or (0.5 if radar == ENDLESS else RPM):g}",
         "motion.axis_distance_m": 1.0,
         "radar.integration": 15,
         "radar.timeout_s": 1.0,
@@ -54,7 +52,6 @@ def source(
         "imaging.pixels": 64,
         "storage.folder": str(folder),
     }
-
     urls: dict[int, str] = {}
 
     def place() -> Workplace:
@@ -103,17 +100,17 @@ class Asks:
         self._host, self._headers = url.removeprefix("http://"), headers
 
     def get(self, path: str) -> Answer:
-        return self._ask("GET", path, None, {})
+        return self.ask("GET", path, None, {})
 
     def post(self, path: str, **values: Any) -> Answer:
         body = json.dumps(values).encode()
         media = "application/octet-stream" if path == UPLOAD_PATH else "application/json"
-        return self._ask("POST", path, body, {"content-type": media})
+        return self.ask("POST", path, body, {"content-type": media})
 
-    def _ask(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> Answer:
+    def ask(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> Answer:
         connection = HTTPConnection(self._host, timeout=WAIT_S)
         try:
-            connection.request(method, path, body, {**headers, **self._headers})
+            connection.request(method, path, body, {**self._headers, **headers})
             reply = connection.getresponse()
             return Answer(reply.status, {k.lower(): v for k, v in reply.getheaders()}, reply.read())
         finally:
@@ -150,9 +147,8 @@ def poses(scene: str, options: str = "", seed: int = 1) -> Iterator[str]:
     while True:
         for x, y, turn in POSES:
             seed += 1
-            yield f"emulator://{scene}?rpm={RPM}&seed={seed}&centre={x},{y}&rotation={turn}&{options}".rstrip(
-                "&"
-            )
+            pose = f"centre={x},{y}&rotation={turn}"
+            yield f"emulator://{scene}?rpm={RPM}&seed={seed}&{pose}&{options}".rstrip("&")
 
 
 def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
@@ -181,10 +177,8 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
     yield start
     for handle in open_ones:
         handle.close()
-    remaining = [
-        t.name for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))
-    ]
-    assert remaining == []
+    names = [thread.name for thread in set(threading.enumerate()) - before]
+    assert [name for name in names if name.startswith(("station-", "live-"))] == []
 
 
 def ended(station: Server) -> dict[str, Any]:
@@ -216,8 +210,8 @@ class Raw:
             "Origin": f"http://127.0.0.1:{port}",
             **(headers or {}),
         }
-        lines = [f"{name}: {value}" for name, value in words.items() if value]
-        self.socket.sendall(("GET /api/v1/live HTTP/1.1\r\n" + "\r\n".join(lines) + "\r\n\r\n").encode())
+        lines = "".join(f"{name}: {value}\r\n" for name, value in words.items() if value)
+        self.socket.sendall(f"GET /api/v1/live HTTP/1.1\r\n{lines}\r\n".encode())
         self.buffer = b""
         while b"\r\n\r\n" not in self.buffer:
             part = self.socket.recv(4096)
@@ -235,16 +229,13 @@ class Raw:
 
     def frame(self, payload: bytes, opcode: int = 1, masked: bool = True) -> None:
         """Send one frame."""
-        size = len(payload)
-        bit = 0x80 if masked else 0
-        head = bytes([0x80 | opcode])
-        head += (
-            bytes([bit | size])
-            if size < 126
-            else bytes([bit | 126]) + struct.pack("!H", size)
-            if size < 1 << 16
-            else bytes([bit | 127]) + struct.pack("!Q", size)
-        )
+        size, bit = len(payload), 0x80 if masked else 0
+        if size < 126:
+            head = bytes([0x80 | opcode, bit | size])
+        else:
+            small = size < 1 << 16
+            head = bytes([0x80 | opcode, bit | (126 if small else 127)])
+            head += struct.pack("!H" if small else "!Q", size)
         mask = os.urandom(4) if masked else b""
         body = bytes(b ^ mask[i % 4] for i, b in enumerate(payload)) if masked else payload
         self.socket.sendall(head + mask + body)

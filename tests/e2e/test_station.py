@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from http.client import HTTPConnection, HTTPException
@@ -24,12 +25,9 @@ from station_harness import ENDLESS, OWN, WAIT_S, Asks, Raw, alone, ended, joine
 from tagid.capture import Capture
 from tagid.imaging.types import Image
 from tagid.live.engine import LiveView
-from tagid.motion.device import MotionStoppedError
-from tagid.motion.turntable import FreeTurntable
 from tagid.operate.workplace import Workplace
 from tagid.pipeline.answer import Identification
-from tagid.station import operators, scans, server, web_scans, wire
-from tagid.station.errors import InterlockError
+from tagid.station import server, web_scans
 from tagid.station.openapi import document
 from tagid.station.requests import refusal_of
 from tagid.station.scans import ScanRun
@@ -131,11 +129,12 @@ def test_what_another_page_or_a_stranger_sends_is_refused(
 
 def documented() -> list[tuple[str, str]]:
     """(method, path) of everything in the OpenAPI document."""
-    results = []
-    for path, methods in document()["paths"].items():
-        path = path.replace("{number}", "1").replace("{name}", "helmet-120")
-        results += [(method, path) for method in methods]
-    return results
+    paths = document()["paths"].items()
+    return [
+        (method, path.replace("{number}", "1").replace("{name}", "helmet-120"))
+        for path, methods in paths
+        for method in methods
+    ]
 
 
 def test_no_action_is_taken_for_another_page(station_alone: Server) -> None:
@@ -364,146 +363,6 @@ def test_a_fault_of_the_program_is_500_and_its_line_in_the_log_is_short(
     assert refusal_of(RuntimeError("can't start new thread"), "/").status == 503
 
 
-class Table(FreeTurntable):
-    """A table that moves on command, and tells whether it was stopped."""
-
-    moves = True
-    breaks_after: int | None = None
-
-    def __init__(self) -> None:
-        super().__init__(rpm=0.5)
-        self.turning = threading.Event()
-        self.stopped = threading.Event()
-        self.checks = self.starts = 0
-
-    def start(self) -> None:
-        self.starts += 1
-        self.stopped.clear()
-        self.turning.set()
-
-    def check(self) -> None:
-        self.checks += 1
-        if self.breaks_after is not None and self.checks > self.breaks_after:
-            raise MotionStoppedError("the table stopped", "Switch it on.")
-
-    def stop(self) -> None:
-        self.turning.clear()
-        self.stopped.set()
-
-
-@pytest.fixture
-def table(monkeypatch: pytest.MonkeyPatch) -> Table:
-    single = Table()
-    monkeypatch.setattr(scans, "open_motion", lambda url: single)
-    return single
-
-
-def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
-    serve, table: Table, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(operators, "GRACE_S", 0.5)
-    station = serve(ENDLESS)
-    refused = asks(station, **OWN).post("/api/v1/scan")
-    assert (refused.status, refused.json()["error"]["code"]) == (403, "not_operator")
-    assert asks(station, **OWN).post("/api/v1/scan", key="made-up").status == 403
-    assert not table.turning.is_set()
-    first, key = joined(station.port)
-    second, _ = joined(station.port)
-    first.say(type="scan", note="")
-    first.until("operator", lambda m: m["you"])
-    first.until("frame", lambda m: m["scan"]["scans"] > 5)
-    assert table.turning.is_set()
-    second.say(type="scan")
-    assert second.until("error")["error"]["code"] == "busy"
-    second.say(type="take")
-    assert second.until("error")["error"]["code"] == "busy"
-    # A reload: the same browser is back within the grace period, and the scan goes on.
-    first.close()
-    first, again = joined(station.port, key)
-    assert again == key
-    seen = first.until("frame")["scan"]["scans"]
-    first.until("frame", lambda m: m["scan"]["scans"] > seen + 20)
-    assert table.turning.is_set()
-    # The operator is gone for good; the one who looks on does not keep the table turning.
-    first.close()
-    second.until("frame", lambda m: not m["scan"]["running"])
-    assert table.stopped.is_set() and not table.turning.is_set()
-    scan = asks(station).get("/api/v1/scan").json()
-    assert scan["phase"] == "failed" and "stopped after" in scan["note"]
-    (capture,) = (tmp_path / "out").glob("*.tagid.h5")
-    assert not read_any(capture).complete, "what was recorded is kept"
-    second.say(type="take")
-    second.until("operator", lambda m: m["you"])
-    second.close()
-
-
-def test_the_interlock_needs_neither_the_loop_nor_the_page(
-    serve, table: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(operators, "GRACE_S", 0.3)
-    station = serve(ENDLESS)
-    operator, _ = joined(station.port)
-    operator.say(type="scan")
-    assert table.turning.wait(WAIT_S)
-    busy, free = threading.Event(), threading.Event()
-    monkeypatch.setattr(station._station, "tick", lambda: (busy.set(), free.wait(2 * WAIT_S)))
-    assert busy.wait(WAIT_S)
-    try:
-        operator.close()  # nobody reads it: the loop is busy
-        assert table.stopped.wait(WAIT_S)
-    finally:
-        free.set()
-
-
-def test_a_client_that_vanishes_is_detected_by_the_system(serve) -> None:
-    station = serve()
-    joined(station.port)
-    (line,) = [s for s in station._server.server_state.connections if isinstance(s, server.StationSocket)]
-    wire = line.transport.get_extra_info("socket")
-    assert wire.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-    assert wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == server.PING_S
-    assert wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 2000 * server.PING_S
-
-
-def test_a_dead_page_stops_the_motion_and_ends_the_station(
-    serve, table: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    station = serve(ENDLESS)
-    operator, key = joined(station.port)
-    operator.say(type="scan")
-    assert table.turning.wait(WAIT_S)
-    assert station.running
-
-    def broken(run: object) -> None:
-        raise KeyError("a fault")
-
-    monkeypatch.setattr(wire, "frame", broken)
-    assert table.stopped.wait(WAIT_S)
-    wait(lambda: not station._station.scan.running)
-    assert not station.running and "KeyError" in str(station.failure)
-    refused = asks(station, **OWN).post("/api/v1/scan", key=key)
-    assert (refused.status, refused.json()["error"]["code"]) == (503, "interlock")
-
-
-def test_a_dead_interlock_stops_the_motion_and_ends_the_station(serve, table: Table) -> None:
-    station = serve(ENDLESS)
-    operator, _ = joined(station.port)
-    operator.say(type="scan")
-    assert table.turning.wait(WAIT_S)
-    station._station.operators.expire = None
-    assert table.stopped.wait(WAIT_S)
-    wait(lambda: not station._station.scan.running)
-    assert not station.running and "interlock" in str(station.failure)
-
-
-def test_without_the_interlock_nothing_moves(table: Table, tmp_path: Path) -> None:
-    station = Station(source(tmp_path), lambda config: [])
-    key = station.operators.join()
-    with pytest.raises(InterlockError):
-        station.start(key)
-    assert not table.starts
-
-
 def test_of_two_that_press_at_once_one_scans(serve) -> None:
     station = serve(ENDLESS)
     answers: list[int] = []
@@ -518,45 +377,6 @@ def test_of_two_that_press_at_once_one_scans(serve) -> None:
     assert sorted(answers) == [202, 409, 409, 409]
     asks(station, **OWN).post("/api/v1/scan/stop")
     assert ended(station)["number"] == 1
-
-
-def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: Table) -> None:
-    station = serve(ENDLESS)
-    first, _ = joined(station.port)
-    with station._station._radar:  # a health check is talking to the radar
-        first.say(type="scan")
-        wait(lambda: asks(station).get("/api/v1/scan").status == 200)
-        first.say(type="stop")
-        first.until("status")
-    scan = first.until("frame", lambda m: not m["scan"]["running"])["scan"]
-    assert scan["phase"] == "failed" and "before the first scan" in scan["note"]
-    assert table.starts == 0
-    first.close()
-
-
-def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
-    serve, table: Table, tmp_path: Path
-) -> None:
-    station = serve(ENDLESS)
-    first, _ = joined(station.port)
-    first.say(type="scan")
-    first.until("frame", lambda m: m["scan"]["scans"] > 5)
-    assert asks(station, **OWN).post("/api/v1/scan/stop").status == 202
-    assert "stopped after" in ended(station)["note"]
-    table.breaks_after = table.checks + 10
-    first.say(type="scan")
-    scan = first.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])["scan"]
-    assert scan["phase"] == "failed" and scan["note"].startswith("the table stopped")
-    assert table.stopped.is_set()
-    paths = sorted((tmp_path / "out").glob("*.tagid.h5"), key=lambda path: path.stat().st_mtime_ns)
-    kept = [read_any(path) for path in paths]
-    assert len(kept) == 2 and not any(capture.complete for capture in kept)
-    assert kept[1].views >= 10, "what was recorded is kept"
-    table.breaks_after = None
-    first.say(type="scan")
-    first.until("frame", lambda m: m["scan"]["number"] == 3 and m["scan"]["scans"] > 3)
-    first.say(type="stop")
-    first.close()
 
 
 def test_a_free_table_that_stops_half_way_is_told_with_the_part_that_it_turned(serve) -> None:
@@ -594,24 +414,13 @@ def test_a_connection_without_a_request_is_closed(serve, monkeypatch: pytest.Mon
     monkeypatch.setattr(server, "HEADER_S", 0.2)
     station = serve()
     for before in (b"", f"GET / HTTP/1.1\r\nhost: 127.0.0.1:{station.port}\r\n\r\n".encode()):
-        assert closes_a_slow_request(station, before)
-
-
-def closes_a_slow_request(station: Server, before: bytes) -> bool:
-    """Whether the server ends a request that never does, perhaps after one that did."""
-    with socket.create_connection(("127.0.0.1", station.port), timeout=60) as wire:
-        if before:
+        with socket.create_connection(("127.0.0.1", station.port), timeout=60) as wire:
             wire.sendall(before)
-            assert wire.recv(65536).startswith(b"HTTP/1.1 200")
-        wire.sendall(b"GET / HTTP/1.1\r\nho")
-        try:
-            while wire.recv(65536):
-                pass  # the rest of the page
-        except ConnectionResetError:
-            return True
-        except TimeoutError:
-            return False
-        return True
+            assert not before or wire.recv(65536).startswith(b"HTTP/1.1 200")
+            wire.sendall(b"GET / HTTP/1.1\r\nho")
+            with suppress(ConnectionResetError):
+                while wire.recv(65536):
+                    pass  # the rest of the page
 
 
 def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> None:
@@ -697,25 +506,21 @@ def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
     reader = threading.Thread(target=page.closed, daemon=True)
     reader.start()
     client = asks(station, **OWN)
-    seen: list[tuple[dict[str, int], set[str], int]] = []
+    seen: list[tuple[Counter[type], set[str], int]] = []
     kinds = (ScanRun, LiveView, Capture, Identification, Image)
     # What earlier tests of this process left is held, so that it cannot go meanwhile.
-    earlier = [get_object for get_object in gc.get_objects() if type(get_object) in kinds]
+    earlier = [item for item in gc.get_objects() if type(item) in kinds]
     for _ in range(3):
         assert client.post("/api/v1/scan").status == 202
         assert ended(station)["phase"] == "done"
         gc.collect()
-        alive = {
-            kind.__name__: sum(type(get_object) is kind for get_object in gc.get_objects()) for kind in kinds
-        }
-        for result in earlier:
-            alive[type(result).__name__] -= 1
-        work = {
-            thread.name for thread in threading.enumerate() if thread.name.startswith(("station", "live"))
-        }
+        alive = Counter(type(item) for item in gc.get_objects() if type(item) in kinds)
+        alive.subtract(map(type, earlier))
+        names = {thread.name for thread in threading.enumerate()}
+        work = {name for name in names if name.startswith(("station", "live"))}
         seen.append((alive, work, len(list(Path("/proc/self/fd").iterdir()))))
-    assert seen[1][0]["ScanRun"] == 1 and seen[1][0]["LiveView"] == 1, seen[1]
-    for alive, work, files in seen[2:]:
-        assert alive == seen[1][0] and work == {"station-interlock", "station-web"}, alive
-        assert abs(files - seen[1][2]) <= 2, "sockets of requests under way"
+    _, second, last = seen
+    assert second[0][ScanRun] == 1 and second[0][LiveView] == 1, second
+    assert last[0] == second[0] and last[1] == {"station-interlock", "station-web"}, last
+    assert abs(last[2] - second[2]) <= 2, "sockets of requests under way"
     page.close()

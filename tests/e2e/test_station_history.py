@@ -30,12 +30,9 @@ def scanned(station: Server) -> int:
 def entry(file: Path, command: str = "station", **values: Any) -> int:
     """An entry of the history made by hand."""
     history = History(data_folder() / FILE_NAME)
-    record: dict[str, Any] = dict.fromkeys(("label", "reason"), "") | {
-        "status": "unknown",
-        "tool_version": "1",
-    }
+    record = {"file": str(file), "status": "unknown", "tool_version": "1", "label": "", "reason": ""}
     record |= dict.fromkeys(("score", "margin", "missing", "extra"), 0)
-    return history.add(history.begin(command, {}), [record | {"file": str(file)} | values])[0]
+    return history.add(history.begin(command, {}), [record | values])[0]
 
 
 def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
@@ -47,10 +44,8 @@ def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
     for suffix in (".tagid.h5", ".png"):
         (tmp_path / "other" / f"scan{suffix}").touch()
     other = entry(tmp_path / "other" / "scan.tagid.h5")
-    files = {
-        item["id"]: (item["has_capture"], item["has_picture"])
-        for item in client.get("/api/v1/history").json()["items"]
-    }
+    items = client.get("/api/v1/history").json()["items"]
+    files = {item["id"]: (item["has_capture"], item["has_picture"]) for item in items}
     assert files == {first: (True, True), second: (True, True), gone: (False, False), other: (False, False)}
     for wrong in (None, [], ["1"], [True], [0], [-1], [10**19], list(range(1, 300)), {"a": 1}):
         assert client.post("/api/v1/reports", entries=wrong).status == 400, wrong
@@ -125,13 +120,8 @@ def test_no_file_outside_the_folder_is_given_out(serve, tmp_path: Path) -> None:
     link.symlink_to(secret)
     inside = tmp_path / "out" / "inside.tagid.h5"
     inside.write_bytes(b"no scan of the station")
-    numbers = [
-        entry(secret),
-        entry(tmp_path / "out" / ".." / "secret.tagid.h5"),
-        entry(link),
-        entry(inside, command="identify"),
-        entry(Path("/etc/passwd")),
-    ]
+    outside = (secret, tmp_path / "out" / ".." / "secret.tagid.h5", link, Path("/etc/passwd"))
+    numbers = [*map(entry, outside), entry(inside, command="identify")]
     for number in numbers:
         for what in ("capture", "picture"):
             assert client.get(f"/api/v1/history/{number}/{what}").status == 404, number

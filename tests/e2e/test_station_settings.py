@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
 import pytest
-from station_harness import ENDLESS, OWN, Asks, ended, joined
+from station_harness import ENDLESS, OWN, Answer, Asks, ended, joined
 
 from tagid.cli.options import demo_settings
 from tagid.config import config_path, load_config
@@ -61,9 +59,8 @@ def test_settings_are_written_to_the_file_of_config_set(configured: Server) -> N
     assert stored_ones["motion.url"].public == "free?rpm=2.5" and stored_ones["station.until_sure"] == "yes"
     # All or none, and the refusal says what may be given.
     text = config_path().read_text()
-    half = client.post(
-        "/api/v1/settings", changes={"radar.url": "udp://10.0.0.9", "motion.axis_distance_m": 100}
-    )
+    half_right = {"radar.url": "udp://10.0.0.9", "motion.axis_distance_m": 100}
+    half = client.post("/api/v1/settings", changes=half_right)
     assert half.status == 400 and "Give metres" in half.json()["error"]["message"]
     assert config_path().read_text() == text
 
@@ -150,26 +147,11 @@ def test_only_the_operator_sets_up_and_not_what_the_command_line_gave(serve: Any
     operator.close()
 
 
-class Sent:
-    """The answer to an upload."""
-
-    def __init__(self, status: int, content: bytes) -> None:
-        self.status, self._content = status, content
-
-    def json(self) -> Any:
-        return json.loads(self._content)
-
-
-def upload(station: Server, content: bytes, name: str = "a.tagid.h5", key: str = "", **more: str) -> Sent:
-    connection = HTTPConnection("127.0.0.1", station.port, timeout=60)
-    headers = {**OWN, "content-type": "application/octet-stream", "tagid-file-name": name, **more}
+def upload(station: Server, content: bytes, name: str = "a.tagid.h5", key: str = "", **more: str) -> Answer:
+    headers = {"content-type": "application/octet-stream", "tagid-file-name": name, **more}
     if key:
         headers["tagid-key"] = key
-    connection.request("POST", "/api/v1/captures", content, headers)
-    answer = connection.getresponse()
-    sent = Sent(answer.status, answer.read())
-    connection.close()
-    return sent
+    return Asks(station.url, OWN).ask("POST", "/api/v1/captures", content, headers)
 
 
 def test_a_file_is_identified_and_a_capture_replayed(serve: Any, tmp_path: Path) -> None:
@@ -203,10 +185,8 @@ def test_a_file_is_identified_and_a_capture_replayed(serve: Any, tmp_path: Path)
     assert Path(new["file"]) == tmp_path / "out" / "received-my-scan-.tagid.h5"
     assert client.get(f"/api/v1/history/{new['id']}/capture").content == content
     # Again by the same name; what cannot be read is not kept.
-    assert (
-        upload(station, b"no capture at all", "my scan.tagid.h5").json()["file"]
-        == "received-my-scan.tagid.h5"
-    )
+    sent = upload(station, b"no capture at all", "my scan.tagid.h5").json()
+    assert sent["file"] == "received-my-scan.tagid.h5"
     failed = ended(station)
     assert failed["phase"] == "failed" and "unknown file format" in failed["note"]
     assert not (tmp_path / "out" / "received-my-scan.tagid.h5").exists()
