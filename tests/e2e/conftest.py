@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from remembered import shared
 
 if TYPE_CHECKING:
     from tagid.station.server import Server
@@ -24,9 +25,11 @@ def closed_clients() -> Iterator[None]:
 
 @pytest.fixture
 def serve(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closed_clients: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closed_clients: None, remembered: Path
 ) -> Iterator[Callable[..., Server]]:
-    """Starts stations, see `station_harness.stations`."""
+    """Starts stations, see `station_harness.stations`; their reports remember what was read before."""
     from station_harness import stations
 
+    for name, value in shared(remembered).items():
+        monkeypatch.setenv(name, value)
     yield from stations(tmp_path, monkeypatch)
