@@ -81,9 +81,8 @@ def test_a_lead_without_a_body_counts_more_and_neither_less_than_theory_asks() -
     assert worth(40.0, 3.0) == 40.0 and worth(-5.0, -1.0) == -5.0
     assert worth(3.0, 3.0) == 3.0 and worth(8.0, 7.0) == 35.0
     # A name that one of the two carries keeps the promise.
-    assert (
-        stratum.p_value(worth(8.0, needed.bare)) <= 1e-3 and stratum.p_value(worth(needed.lead, -9)) <= 1e-3
-    )
+    assert stratum.p_value(worth(8.0, needed.bare)) <= 1e-3
+    assert stratum.p_value(worth(needed.lead, -9)) <= 1e-3
     easy = Calibration("a test", (), (Stratum(24, 361, 9999, (-3.0,) * 60),))
     for false_accept in (1e-3, 1e-4):
         asked = easy.needed(36, false_accept)
@@ -94,11 +93,8 @@ def test_a_calibration_is_kept_as_text_and_damage_is_seen() -> None:
     text = KNOWN.to_json()
     assert Calibration.from_json(text) == KNOWN
     data = json.loads(text)
-    wrong = [
-        "",
-        "{}",
-        "[]",
-        text[:-20],
+    wrong = ["", "{}", "[]", text[:-20]]
+    wrong += [
         json.dumps(data | {"format_version": 1}),
         json.dumps(data | {"strata": [{"views": [12], "objects": 1, "leads": []}]}),
         json.dumps(data | {"strata": [{"views": [12, 24], "objects": 1, "leads": ["x"]}]}),

@@ -181,12 +181,8 @@ def test_the_winner_and_the_best_of_every_kind_are_reported() -> None:
         hypothesis(NOTHING, real.log_z - 50, HELMET, POINTS),
     ]
     rows = explanations([Explained.of(spectra, item) for item in ranked([real, *others], real)])
-    assert [(row.kind, row.layout) for row in rows] == [
-        (Kind.BARE, PAIR.name),
-        (Kind.BARE, None),
-        (Kind.ROUND, HELMET.name),
-        (Kind.NO_TAG, None),
-    ]
+    kinds = [(Kind.BARE, PAIR.name), (Kind.BARE, None), (Kind.ROUND, HELMET.name), (Kind.NO_TAG, None)]
+    assert [(row.kind, row.layout) for row in rows] == kinds
     assert [row.log_evidence for row in rows] == pytest.approx([0, -30, -50, -400])
     assert rows[0].radius_m == pytest.approx(0.045, abs=2e-3) and rows[3].radius_m is None
     assert rows[0].unexplained < 0.01 < rows[1].unexplained <= 1 and len(rows) <= MOST
@@ -200,9 +196,8 @@ def test_what_is_left_of_a_recording_is_noise_where_the_hypothesis_is_right() ->
     remaining = residuals(spectra, [real, wrong])
     assert remaining.by_hypothesis.shape == (2, len(remaining.range_m), spectra.views)
     assert (np.diff(remaining.angle_rad) > 0).all()
-    energies = [
-        float((base.astype(float) ** 2).sum()) for base in (remaining.recorded, *remaining.by_hypothesis)
-    ]
+    shown = (remaining.recorded, *remaining.by_hypothesis)
+    energies = [float((base.astype(float) ** 2).sum()) for base in shown]
     assert energies[1] < 0.02 * energies[0] < energies[2]
     residual = real.residual(spectra)
     assert np.abs(residual @ spectra.rooms.T).max() < 1e-9 * np.abs(spectra.data).max()

@@ -92,9 +92,8 @@ def test_the_search_by_transforms_equals_direct_projection(mug: Joint) -> None:
 
     def left(pose: Pose) -> float:
         at = signature.Standpoint(thin, pose.centre)
-        echo = at.carrier * (
-            signature.turned(thin, weights, pose.turn_rad) @ angular(at.azimuth, single.order).T
-        )
+        turned = signature.turned(thin, weights, pose.turn_rad)
+        echo = at.carrier * (turned @ angular(at.azimuth, single.order).T)
         q = np.linalg.qr(np.stack([np.ones_like(echo), at.carrier, echo], axis=-1))[0]
         y = thin.data[..., None]
         return float(np.sum(np.abs(y - q @ (q.conj().swapaxes(1, 2) @ y)) ** 2))
@@ -130,9 +129,8 @@ def test_a_capture_of_a_changed_object_is_to_blame() -> None:
 def test_two_captures_of_something_else_are_both_to_blame() -> None:
     captures = [*three(MUG), named(MUG.plus(TAG), 6, 0.004j, 3.3)]
     other = named(Thing((0.03j, -0.05), (3.0, 2.0), 1.0), 8, *PLACES[2])
-    with pytest.raises(
-        DataError, match=r"^c(6 and c8|8 and c6) do not show what the other captures"
-    ) as caught:
+    blamed = r"^c(6 and c8|8 and c6) do not show what the other captures"
+    with pytest.raises(DataError, match=blamed) as caught:
         enroll_signature([*captures, other], "mug", "body")
     assert "without a tag" in caught.value.remedy
 
@@ -166,10 +164,8 @@ def test_an_uneven_turn_is_read_off_the_object(tagged: Signature) -> None:
 
 
 def test_captures_of_uneven_turns_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    captures = [
-        replace(item, spectra=stated_wrongly(item.spectra, 0.01, 0.004, 2.0 * i))
-        for i, item in enumerate(three(MUG.plus(TAG)))
-    ]
+    rigid = enumerate(three(MUG.plus(TAG)))
+    captures = [replace(c, spectra=stated_wrongly(c.spectra, 0.01, 0.004, 2.0 * i)) for i, c in rigid]
     agreed = estimate(captures, "mug-7", "object", 0.085)
     assert agreed.signature.model_error < 3e-4
     monkeypatch.setattr(joint, "UNEVEN_SHARE", 2.0)
@@ -203,9 +199,8 @@ def test_gains_and_harmonics_are_improved_together(mug: Joint) -> None:
     best = _residual_energy(work.placed.values(), basis)
     off = 0.3 * rng.standard_normal((3, 2, len(basis.mask)))
     off[work.order[0]] = 0
-    work.placed = {
-        i: replace(item, gain=item.gain * (1 + off[i, 0] + 1j * off[i, 1])) for i, item in work.placed.items()
-    }
+    gains = 1 + off[:, 0] + 1j * off[:, 1]
+    work.placed = {i: replace(item, gain=item.gain * gains[i]) for i, item in work.placed.items()}
     assert _residual_energy(work.placed.values(), basis) > 10 * best
     work.balance(8)
     assert _residual_energy(work.placed.values(), basis) < 1.02 * best
@@ -235,9 +230,8 @@ def test_the_order_holds_what_a_point_on_the_rim_returns() -> None:
 
 
 def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
-    again = enroll_signature(
-        [named(MUG, 20 + i, c * 1j, r + 0.7) for i, (c, r) in enumerate(PLACES)], "cup", "body"
-    ).signature
+    others = [named(MUG, 20 + i, c * 1j, r + 0.7) for i, (c, r) in enumerate(PLACES)]
+    again = enroll_signature(others, "cup", "body").signature
     assert compare(mug.signature, again).alike
     assert 0.05 < mug.signature.turning_share < 0.9
     assert least_tag(mug.signature) < 0.01
@@ -245,14 +239,9 @@ def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
 
 @pytest.mark.parametrize(
     ("remaining", "turning", "moving", "noise"),
-    [
-        (1.39, 0.0, 0.0, True),
-        (1.41, 0.0, 0.0, False),
-        (2.1, 100.0, 100.0, True),
-        (2.41, 0.7, 3447.0, True),
-        (2.41, 0.7, 900.0, False),
-    ],
-)
+    [(1.39, 0.0, 0.0, True), (1.41, 0.0, 0.0, False), (2.1, 100.0, 100.0, True), (2.41, 0.7, 3447.0, True),
+     (2.41, 0.7, 900.0, False)],
+)  # fmt: skip
 def test_a_capture_may_keep_a_little_of_what_turns_and_less_of_what_moves(
     remaining: float, turning: float, moving: float, noise: bool
 ) -> None:

@@ -34,12 +34,10 @@ POSES = ((0.006, -0.002, 10.0), (-0.004, 0.005, 130.0), (0.001, 0.008, 250.0))
 
 
 def capture(layout: Layout, pose: Sequence[float]):
-    scene = scene_on_body(
-        layout.name, parse_body("none"), parse_reflector("octahedron"), 1, layouts={layout.name: layout}
-    )
+    body, reflector = parse_body("none"), parse_reflector("octahedron")
+    scene = scene_on_body(layout.name, body, reflector, 1, layouts={layout.name: layout})
     x, y, turn = pose
-    placement = Placement((x, y), math.radians(turn))
-    acquisition = Acquisition(views=36, snr_db=20.0, placement=placement)
+    acquisition = Acquisition(views=36, snr_db=20.0, placement=Placement((x, y), math.radians(turn)))
     return prepare(simulate_capture(scene, acquisition, seed=int(turn))[0])
 
 
@@ -72,6 +70,9 @@ def test_a_capture_of_another_object_is_named_and_replaced(
     first, second, third, other = captures
     with pytest.raises(EnrolmentError):
         enrolling.expect()
+    with pytest.raises(TagidError, match="already enrolled"):
+        enrolling.describe(Subject("helmet-120"))
+    assert enrolling.state.subject is None
     enrolling.describe(Subject("gate-4", "helmet", "The blue one"))
     assert enrolling.expect()[0] == "enrolling gate-4, capture 1"
     assert "no majority" in str(add(enrolling, first, other).trouble)
@@ -177,12 +178,6 @@ def test_a_bad_name_kind_or_label_is_refused_at_once() -> None:
                               ("x", "cup", ""), ("x", "other", "=1+1")):  # fmt: skip
         with pytest.raises(UsageError):
             Subject(name, kind, label)
-
-
-def test_a_taken_name_is_refused_before_anything_is_recorded(enrolling: Enrolling) -> None:
-    with pytest.raises(TagidError, match="already enrolled"):
-        enrolling.describe(Subject("helmet-120"))
-    assert enrolling.state.subject is None
 
 
 def test_an_enrolment_has_a_most_of_captures(enrolling: Enrolling) -> None:

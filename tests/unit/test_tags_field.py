@@ -73,11 +73,8 @@ def test_views_that_do_not_divide_a_turn_become_even_ones(views: int) -> None:
     noise = synthetic_scans(np.zeros((0, 2)), views=views, noise=1.0)
     folded = fold_views(replace(noise, aperture=uneven), 0.13)
     assert np.sqrt(np.mean(np.abs(folded.samples) ** 2)) == pytest.approx(folded.noise_std, rel=0.05)
-    part = replace(
-        many,
-        samples=many.samples[seen[: views // 2]],
-        aperture=uneven.turned(uneven.angles[: views // 2], 0.5),
-    )
+    half = uneven.turned(uneven.angles[: views // 2], 0.5)
+    part = replace(many, samples=many.samples[seen[: views // 2]], aperture=half)
     assert fold_views(part, 0.13).aperture.angles[-1] < 3.2, "half a turn stays one"
 
 
@@ -108,8 +105,7 @@ def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
         assert len(result) == layout.size, name
         positions = np.array([(r.x_m, r.y_m) for r in result])
         gap = np.linalg.norm(positions[:, None] - points[None], axis=2)
-        assert gap.min(axis=1).max() < 2e-3
-        assert np.unique(gap.argmin(axis=1)).size == layout.size
+        assert gap.min(axis=1).max() < 2e-3 and np.unique(gap.argmin(axis=1)).size == layout.size
         assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in result)
     assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
 
@@ -124,9 +120,8 @@ def at_two_heights(scans: BasebandScans) -> BasebandScans:
 def with_two_antennas(scans: BasebandScans) -> BasebandScans:
     """The same samples, transmitter and receiver 0.1 m apart."""
     positions = scans.aperture.positions
-    return replace(
-        scans, aperture=Aperture(positions, half_baseline=np.tile([0.0, 0.0, 0.05], (len(positions), 1)))
-    )
+    apart = np.tile([0.0, 0.0, 0.05], (len(positions), 1))
+    return replace(scans, aperture=Aperture(positions, half_baseline=apart))
 
 
 @pytest.mark.parametrize("seen", [lambda scans: scans, at_two_heights, with_two_antennas])
@@ -182,10 +177,8 @@ def test_errors_of_the_mean_are_as_large_as_its_covariance_says() -> None:
         estimate = average(captures, "mean")
         layout = estimate.layout
         pair = best_pairing(layout.positions, SCALENE)
-        remaining = (
-            layout.positions @ rotation_matrix(pair.rotation_rad).T + pair.shift_m - SCALENE[pair.partner]
-        )
         turn = rotation_matrix(pair.rotation_rad)
+        remaining = layout.positions @ turn.T + pair.shift_m - SCALENE[pair.partner]
         weight = np.linalg.inv(turn @ layout.covariance @ turn.T)
         square.append(np.einsum("ki,kij,kj->", remaining, weight, remaining))
         alike = average([replace(c, covariances=captures[0].covariances) for c in captures], "mean")
@@ -205,15 +198,11 @@ def test_scatter_beyond_the_noise_told_is_found() -> None:
 
 
 def test_turns_are_told_and_the_outermost_reflector_lies_on_x() -> None:
-    turns = (0.4, 2.0, 5.0)
-    captures = [
-        Sighting(f"c{i}", Layout("x", SCALENE).placed(t, np.zeros(2)), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
-        for i, t in enumerate(turns)
-    ]
-    estimate = average(captures, "x")
-    assert estimate.layout.positions[np.argmax(np.linalg.norm(estimate.layout.positions, axis=1))][
-        1
-    ] == pytest.approx(0, abs=1e-6)
+    turns, exact = (0.4, 2.0, 5.0), np.tile(1e-8 * np.eye(2), (3, 1, 1))
+    placed = (Layout("x", SCALENE).placed(t, np.zeros(2)) for t in turns)
+    estimate = average([Sighting(f"c{i}", points, exact) for i, points in enumerate(placed)], "x")
+    outermost = np.argmax(np.linalg.norm(estimate.layout.positions, axis=1))
+    assert estimate.layout.positions[outermost][1] == pytest.approx(0, abs=1e-6)
     assert np.allclose(estimate.rotations_deg, np.rad2deg(turns), atol=1e-3)
     again = Layout("y", estimate.layout.positions)
     assert rotational_distance(again, Layout("x", SCALENE), 0.0).worst_m < 1e-6
@@ -222,19 +211,16 @@ def test_turns_are_told_and_the_outermost_reflector_lies_on_x() -> None:
 def test_captures_that_do_not_belong_are_named_with_what_is_wrong() -> None:
     rng = np.random.default_rng(2)
     good = [sighting(rng, 3e-4, name=f"good{i}.h5") for i in range(3)]
-    moved = SCALENE.copy()
-    moved[1] += [0.0, 0.009]
+    moved = SCALENE + np.array([[0, 0], [0, 0.009], [0, 0]])
     cases = {
-        r"^odd\.h5 shows 2 reflectors, the others 3$": sighting(rng, 3e-4, name="odd.h5", points=SCALENE[:2]),
-        r"^odd\.h5 has a reflector \d\.\d mm from its position": sighting(
-            rng, 3e-4, name="odd.h5", points=moved
-        ),
-        r"^odd\.h5 is the mirror image": sighting(rng, 3e-4, name="odd.h5").mirrored(),
-        r"^odd\.h5 locates a reflector only to within 7": sighting(rng, 3e-4, told_m=7e-3, name="odd.h5"),
+        "shows 2 reflectors, the others 3$": sighting(rng, 3e-4, name="odd.h5", points=SCALENE[:2]),
+        r"has a reflector \d\.\d mm from its position": sighting(rng, 3e-4, name="odd.h5", points=moved),
+        "is the mirror image": sighting(rng, 3e-4, name="odd.h5").mirrored(),
+        "locates a reflector only to within 7": sighting(rng, 3e-4, told_m=7e-3, name="odd.h5"),
     }
     for words, odd in cases.items():
         for at in range(4):
-            with pytest.raises(DataError, match=words):
+            with pytest.raises(DataError, match=rf"^odd\.h5 {words}"):
                 average([*good[:at], odd, *good[at:]], "x")
     with pytest.raises(DataError, match="no majority"):
         average([good[0], sighting(rng, 3e-4, points=moved)], "x")
@@ -266,15 +252,8 @@ def test_a_reflector_far_out_is_seen_and_makes_no_others() -> None:
 def test_a_layout_measured_from_scans() -> None:
     rng = np.random.default_rng(1)
     truth = Layout("truth", SCALENE)
-    captures = [
-        Sighting.of(
-            synthetic_scans(
-                truth.placed(rng.uniform(0, 6), rng.uniform(-0.005, 0.005, 2)), noise=0.3, seed=i
-            ),
-            f"c{i}",
-        )
-        for i in range(5)
-    ]
+    stands = [truth.placed(rng.uniform(0, 6), rng.uniform(-0.005, 0.005, 2)) for _ in range(5)]
+    captures = [Sighting.of(synthetic_scans(p, noise=0.3, seed=i), f"c{i}") for i, p in enumerate(stands)]
     estimate = average(captures, "measured")
     assert estimate.spread_m.max() < 2e-3 and 0 < estimate.layout.sigma_m < 1e-3
     assert rotational_distance(estimate.layout, truth).worst_m < 2e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -50,11 +50,9 @@ def test_each_height_has_a_room_of_its_own() -> None:
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     field = MatchedField(scans, 0.15)
     for rows in (field.templates(PLAN), field.data[None]):
+        by_view = rows.reshape(len(rows), field.views, -1)
         for views in scans.aperture.height_groups():
-            assert (
-                abs(rows.reshape(len(rows), field.views, -1)[:, views].mean(axis=1)).max()
-                < 1e-5 * abs(rows).max()
-            )
+            assert abs(by_view[:, views].mean(axis=1)).max() < 1e-5 * abs(rows).max()
 
 
 def test_many_views_of_every_height_are_folded() -> None:
@@ -81,9 +79,8 @@ def test_heights_count_as_much_as_the_antennas_reach() -> None:
     change = [np.std(aperture.distances(p) - aperture.distances(base)) for p in (risen, moved)]
     assert change[0] == pytest.approx(change[1], rel=0.1)
     assert rotational_distance(UP, FLAT).worst_m < 1e-9
-    assert rotational_distance(UP, DOWN, height_weight=weight).rms_m == pytest.approx(
-        weight * np.std([0, 0.12, 0]), abs=1e-9
-    )
+    apart = rotational_distance(UP, DOWN, height_weight=weight).rms_m
+    assert apart == pytest.approx(weight * np.std([0, 0.12, 0]), abs=1e-9)
     raised = replace(UP, heights=np.asarray(UP.heights) + 0.02)
     assert rotational_distance(UP, raised, height_weight=weight).worst_m < 1e-9
     space = np.array([in_space(layout, weight) for layout in ALL])
@@ -107,10 +104,6 @@ def test_rows_carry_more_layouts_where_several_heights_are_recorded() -> None:
     assert tall.distance_m == pytest.approx(min(apart), abs=1e-6)
     assert tall.distance_m > flat.distance_m
     beside = design(OBJECT, several, 4, beside=tall.layouts)
-    both = [*tall.layouts, *beside.layouts]
-    assert all(
-        rotational_distance(a, b, height_weight=weight).worst_m >= 0.012
-        for a in tall.layouts
-        for b in beside.layouts
-    )
-    assert len({layout.name for layout in both}) == 8
+    for a, b in product(tall.layouts, beside.layouts):
+        assert rotational_distance(a, b, height_weight=weight).worst_m >= 0.012
+    assert len({layout.name for layout in (*tall.layouts, *beside.layouts)}) == 8

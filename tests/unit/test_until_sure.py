@@ -27,16 +27,7 @@ from tagid.pipeline.turn import resolve_turn
 from tagid.radar.settings import RadarConfig
 from tagid.reading import looks
 from tagid.reading.ending import EndingCalibration
-from tagid.reading.looks import (
-    LOOKS,
-    SPENT,
-    VIEWS_PER_TURN,
-    Look,
-    agreed,
-    largest,
-    look,
-    part_of_turn,
-)
+from tagid.reading.looks import LOOKS, SPENT, VIEWS_PER_TURN, Look, agreed, largest, look, part_of_turn
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
@@ -79,13 +70,10 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
     assert [look.share for look in ending.looks] == [0.45, 0.6]
     expected = Ending("sure", 0.6, "helmet-120", 1 / 4000, 3999)
     stored = read_capture(tmp_path / "x.tagid.h5")
-    assert capture.complete and stored.complete
+    assert capture.complete and stored.complete and not list(tmp_path.glob("*.journal"))
     assert capture.radar.ended == stored.radar.ended == expected
-    assert not list(tmp_path.glob("*.journal"))
     prepared = PreparedCapture(load_capture(capture))
-    gap = widest_gap(prepared.given)
-    share = gap.share
-    assert 0.59 < share < 0.65
+    assert 0.59 < widest_gap(prepared.given).share < 0.65
     assert recording_remarks(prepared.given) == ()
     as_interrupted = replace(prepared.given, radar=replace(prepared.given.radar, ended=None))
     assert "degrees" in recording_remarks(as_interrupted)[0]
@@ -99,18 +87,12 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
 def test_what_leaves_no_bound_is_said() -> None:
     known = settings()
     pairs = [layout for layout in known.layouts if layout.size == 2]
-    for ending, why in (
-        (
-            EarlyEnding(known, replace(CALIBRATION, turns=1000)),
-            "holds 1000 revolutions, too few for tags.false_accept = 0.001",
-        ),
-        (EarlyEnding(settings(direction_known=False), CALIBRATION), "the direction of rotation is unknown"),
-        (
-            EarlyEnding(replace(known, layouts=pairs), CALIBRATION),
-            "no enrolled layout has 3 reflectors or more",
-        ),
-    ):
-        assert ending.remark.endswith(why)
+    few = "holds 1000 revolutions, too few for tags.false_accept = 0.001"
+    assert EarlyEnding(known, replace(CALIBRATION, turns=1000)).remark.endswith(few)
+    either = EarlyEnding(settings(direction_known=False), CALIBRATION)
+    assert either.remark.endswith("the direction of rotation is unknown")
+    small = EarlyEnding(replace(known, layouts=pairs), CALIBRATION)
+    assert small.remark.endswith("no enrolled layout has 3 reflectors or more")
 
 
 def test_without_a_name_the_whole_turn_is_recorded(tmp_path: Path) -> None:
@@ -223,6 +205,11 @@ def test_two_looks_in_a_row_have_to_name_the_same() -> None:
 
 def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
     """Scores of any distribution, correlated over the looks: false endings stay within the stated rate."""
+    # Of 3,999 turns one ended on a name: no more can have reached any score.
+    single = replace(CALIBRATION, scores=(30.0,))
+    for score in (40.0, 20.0):
+        both = looks_of(("a", score), ("a", score))
+        assert single.bound(both, 0.01).p_value == (1 + (score < 30.0)) / 4000
     rng = np.random.default_rng(4)
     false_accept, ended, trials = 0.1 / SPENT, 0, 2000
     for _ in range(trials):
@@ -234,14 +221,6 @@ def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
         ended += any(calibration.bound(new[:count], false_accept).kept for count in (2, 3))
     rate, stated = ended / trials, SPENT * false_accept
     assert 0.07 < rate < stated + 3 * np.sqrt(stated * (1 - stated) / trials)
-
-
-def test_only_turns_with_a_score_can_reach_a_smaller_one() -> None:
-    """Of 3,999 turns one ended on a name: no more can have reached any score."""
-    calibration = replace(CALIBRATION, scores=(30.0,))
-    for score in (40.0, 20.0):
-        new = looks_of(("a", score), ("a", score))
-        assert calibration.bound(new, 0.01).p_value == (1 + (score < 30.0)) / 4000
 
 
 def test_the_calibration_is_read_back_and_a_damaged_one_is_refused() -> None:
