@@ -6,7 +6,7 @@ it is given and runs `python -m tagid` as a fresh interpreter does. Tests of the
 imports and of signals start an interpreter.
 
 The server is this file as a script: it takes connections on the Unix socket whose descriptor is its first
-argument, remembers results in the folder that is its second, if any, and ends with its standard input.
+argument, remembers results in the folder that is its second, and ends with its standard input.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ IMPORTS = (
     "rich.console", "rich.progress", "rich.table", "sqlite3", "tomli_w", "tomllib", "typer._adapters",
 )  # fmt: skip
 """What most commands import. None of it starts a thread, or reads what a test changes in the environment."""
+LIMIT_S = 300.0
 
 
 @dataclass
@@ -52,7 +53,7 @@ class Ran:
 class CommandServer:
     """Client side; use as a context manager around the tests of one process."""
 
-    def __init__(self, folder: Path, environment: dict[str, str], *remembered: Path) -> None:
+    def __init__(self, folder: Path, environment: dict[str, str], remembered: Path) -> None:
         self._address = str(folder / "socket")
         self._environment = environment
         self._remembered = remembered
@@ -67,14 +68,8 @@ class CommandServer:
             self._process.stdin.close()
             self._process.wait()
 
-    def run(
-        self, words: list[str], folder: Path, environment: dict[str, str], limit_s: float
-    ) -> subprocess.CompletedProcess[str]:
-        """`python -m tagid WORDS` in a folder, with this environment and its output captured.
-
-        Raises:
-            subprocess.TimeoutExpired: it took longer than `limit_s`, and was killed.
-        """
+    def run(self, words: list[str], folder: Path, environment: dict[str, str]) -> Ran:
+        """`python -m tagid WORDS` in a folder, with this environment; killed after `LIMIT_S`."""
         self._start()
         request = {"words": words, "folder": str(folder), "environment": environment}
         with (
@@ -82,7 +77,7 @@ class CommandServer:
             tempfile.TemporaryFile() as out,
             tempfile.TemporaryFile() as err,
         ):
-            connection.settimeout(limit_s)
+            connection.settimeout(LIMIT_S)
             connection.connect(self._address)
             socket.send_fds(connection, [b"\n"], [out.fileno(), err.fileno()])
             connection.sendall(json.dumps(request).encode())
@@ -93,12 +88,12 @@ class CommandServer:
                 code = int(answer.readline())
             except TimeoutError:
                 os.kill(child, signal.SIGKILL)
-                raise subprocess.TimeoutExpired(words, limit_s) from None
+                raise subprocess.TimeoutExpired(words, LIMIT_S) from None
             texts = []
             for file in (out, err):
                 file.seek(0)
                 texts.append(file.read().decode().replace("\r\n", "\n"))
-        return subprocess.CompletedProcess(words, code, *texts)
+        return Ran(code, *texts)
 
     def _start(self) -> None:
         if self._process is not None:
@@ -107,7 +102,7 @@ class CommandServer:
             listening.bind(self._address)
             listening.listen(8)
             self._process = subprocess.Popen(
-                [sys.executable, __file__, str(listening.fileno()), *map(str, self._remembered)],
+                [sys.executable, __file__, str(listening.fileno()), str(self._remembered)],
                 stdin=subprocess.PIPE,
                 env=self._environment,
                 pass_fds=[listening.fileno()],
@@ -163,8 +158,7 @@ def main() -> None:
             import_module(name)
     for command in pkgutil.iter_modules(import_module("tagid.cli").__path__, "tagid.cli."):
         import_module(command.name)
-    for folder in sys.argv[2:]:
-        import_module("remembered").remember(Path(folder))
+    import_module("remembered").remember(Path(sys.argv[2]))
     words = _serve(listening)
     # As `python -m tagid` has it: the current folder, not this file's, is where modules are found first.
     sys.path[0] = ""

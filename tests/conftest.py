@@ -90,8 +90,8 @@ def commands(tmp_path_factory: pytest.TempPathFactory, remembered: Path) -> Iter
 @pytest.fixture
 def tagid(tmp_path: Path, home: dict[str, str], commands: CommandServer) -> Callable[..., Ran]:
     def run(*words: object, **more: str) -> Ran:
-        done = commands.run([str(word) for word in words], tmp_path, {**home, **more}, 300)
-        assert "Traceback" not in done.stderr, done.stderr
-        return Ran(done.returncode, done.stdout, done.stderr)
+        done = commands.run([str(word) for word in words], tmp_path, {**home, **more})
+        assert "Traceback" not in done.err, done.err
+        return done
 
     return run

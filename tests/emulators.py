@@ -22,10 +22,7 @@ _ORDER_S: Final = 10.0
 
 
 class _Emulator:
-    """An emulated radar on a thread; a context manager.
-
-    If the thread has failed, `order` and the exit raise DeviceError.
-    """
+    """An emulated radar on a thread, whose failure `order` and the exit raise as DeviceError."""
 
     def __init__(self, core: EmulatorCore, options: ServeOptions) -> None:
         self.core = core
@@ -82,10 +79,7 @@ class _Emulator:
 
 
 class UdpEmulator(_Emulator):
-    """An emulated radar on a UDP port.
-
-    Raises PortInUseError on entry if the port is in use.
-    """
+    """An emulated radar on a UDP port; PortInUseError on entry if it is in use."""
 
     def __init__(self, core: EmulatorCore, options: ServeOptions | None = None) -> None:
         super().__init__(core, options or ServeOptions(port=0))
@@ -104,14 +98,9 @@ class UdpEmulator(_Emulator):
 
 
 class SerialEmulator(_Emulator):
-    """An emulated radar on a pseudo-terminal.
+    """An emulated radar on a pseudo-terminal; without `baud` it sends as fast as the reader reads.
 
-    Args:
-        core: the radar.
-        options: rate and faults.
-        framing: USB or UART.
-        baud: maximum baud rate; None sends as fast as the reader reads.
-        link: path of a symbolic link to the port, whose name stays the same when the device is reconnected.
+    `link` is the path of a symbolic link to the port, which stays the same when the device is reconnected.
     """
 
     def __init__(

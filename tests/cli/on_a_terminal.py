@@ -71,6 +71,17 @@ def run(
     return Drawn(child.returncode, out, bytes(sent))
 
 
+def answering(*answers: tuple[bytes, bytes]) -> Callable[[bytes, subprocess.Popen[bytes], int], None]:
+    """Presses the keys of each (prompt, keys) when the prompt has come, in their order."""
+    left = list(answers)
+
+    def react(sent: bytes, child: subprocess.Popen[bytes], keyboard: int) -> None:
+        while left and left[0][0] in sent:
+            os.write(keyboard, left.pop(0)[1])
+
+    return react
+
+
 def stop_at(enough: Callable[[bytes], bool]) -> Callable[[bytes, subprocess.Popen[bytes], int], None]:
     """Sends Ctrl-C once, when what came is `enough`."""
     asked: list[int] = []

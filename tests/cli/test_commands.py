@@ -9,7 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer.main
 from typer.testing import CliRunner
+
+from tagid.cli.app import COMMANDS, app
+from tagid.storage.journal import JournalWriter
 
 ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
 IDENTIFICATION = {
@@ -18,26 +22,19 @@ IDENTIFICATION = {
 }  # fmt: skip
 
 
-def every_command() -> list[str]:
-    import typer.main
-
-    from tagid.cli.app import app
-
-    results: list[str] = []
-    for name in (root := typer.main.get_group(app)).list_commands(None):
+def test_every_command_has_help_with_an_example_and_is_listed_with_its_first_sentence() -> None:
+    """Commands are imported when called: their first sentences are kept apart so that help need not."""
+    root = typer.main.get_group(app)
+    assert root.list_commands(None) == list(COMMANDS)
+    for name, entry in COMMANDS.items():
         command = root.get_command(None, name)
+        text = (command.short_help or command.help or "").split("\n\n")[0].replace("\n", " ")
+        assert entry.help == text, name
         inner = command.list_commands(None) if hasattr(command, "list_commands") else []
-        results += [f"{name} {item}" for item in inner] or [name]
-    return results
-
-
-def test_every_command_has_help_with_an_example() -> None:
-    from tagid.cli.app import app
-
-    for command in every_command():
-        done = CliRunner().invoke(app, [*command.split(), "--help"])
-        assert done.exit_code == 0, command
-        assert f"Example: tagid {command}" in " ".join(done.output.split())
+        for words in [f"{name} {item}" for item in inner] or [name]:
+            done = CliRunner().invoke(app, [*words.split(), "--help"])
+            assert done.exit_code == 0, words
+            assert f"Example: tagid {words}" in " ".join(done.output.split())
 
 
 def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
@@ -53,15 +50,13 @@ def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
     assert set(item) >= IDENTIFICATION
     assert (item["status"], item["layout"]) == ("identified", "helmet-120")
     assert item["rotation_deg"] % 120 == pytest.approx(40, abs=2)
-    assert len(item["reflectors"]) == 3
-    assert all(reflector["matched"] for reflector in item["reflectors"])
+    assert [reflector["matched"] for reflector in item["reflectors"]] == [True] * 3
     image = tagid(
         "reconstruct", "h.tagid.h5", "--method", "bp", "--out", "i.npz", "--png", "i.png", "--pixels", 64
     )
     assert image.code == 0, image.err
     with np.load(tmp_path / "i.npz", allow_pickle=False) as file:
-        assert file["image"].shape == (64, 64)
-        assert file["image"].dtype == np.complex64
+        assert (file["image"].shape, file["image"].dtype) == ((64, 64), np.complex64)
         y, x = np.unravel_index(np.abs(file["image"]).argmax(), (64, 64))
         radius = np.hypot(file["x_m"][x], file["y_m"][y])
     assert radius == pytest.approx(0.11, abs=0.01)
@@ -97,9 +92,8 @@ def test_uncertain_answers_and_failed_items_have_their_exit_codes(tagid, tmp_pat
     tagid("simulate", "empty", "--views", 12, "--out", "empty.tagid.h5")
     tagid("simulate", "container-90", "--views", 18, "--out", "tag.tagid.h5")
     empty = tagid("identify", "empty.tagid.h5", "--output", "json")
-    assert empty.code == 3
-    assert empty.json["data"]["items"][0]["status"] == "no_tag"
-    assert empty.json["data"]["items"][0]["layout"] is None
+    (item,) = empty.json["data"]["items"]
+    assert (empty.code, item["status"], item["layout"]) == (3, "no_tag", None)
     (tmp_path / "bad.tagid.h5").write_bytes(b"not a capture")
     batch = tagid("identify", "tag.tagid.h5", "bad.tagid.h5", "--output", "json")
     assert (batch.code, batch.json["status"]) == (5, "partial")
@@ -110,7 +104,10 @@ def test_uncertain_answers_and_failed_items_have_their_exit_codes(tagid, tmp_pat
 
 
 def test_wrong_command_lines_end_with_2_in_the_wanted_format(tagid) -> None:
-    assert tagid("no-such-command").code == 2
+    near = tagid("reconstuct")
+    assert near.code == 2 and "Did you mean 'reconstruct'?" in near.err
+    setting = tagid("config", "set", "moton.url", "free?rpm=2")
+    assert setting.code == 2 and "Did you mean motion.url?" in setting.err
     done = tagid("identify", "--no-such-option", "--output", "json")
     assert (done.code, done.json["exit_code"]) == (2, 2)
     assert set(done.json) == ENVELOPE
@@ -118,13 +115,8 @@ def test_wrong_command_lines_end_with_2_in_the_wanted_format(tagid) -> None:
     assert tagid("scan", "--radar", "udp://127.0.0.1", "--axis-distance", -1).code == 2
     assert tagid("reconstruct", "x.npz", "--method", "magic").code == 2
     assert tagid("config", "set", "radar.gain", "100").code == 2
-
-
-def test_scan_without_a_radar_says_what_to_configure(tagid) -> None:
-    done = tagid("scan")
-    assert done.code == 2
-    assert "radar.url" in done.err
-    assert "--demo" in done.err
+    bare = tagid("scan")
+    assert bare.code == 2 and "radar.url" in bare.err and "--demo" in bare.err
 
 
 def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_path: Path) -> None:
@@ -136,8 +128,7 @@ def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_p
     }  # fmt: skip
     near = ("--point", "0.1,0.001", "--point", "-0.05,0.031", "--point", "0.02,-0.09")
     refused = tagid("enroll", "near", *near, "--output", "json")
-    assert refused.code == 1
-    assert refused.json["errors"][0]["code"] == "layout_conflict"
+    assert (refused.code, refused.json["errors"][0]["code"]) == (1, "layout_conflict")
     assert tagid("enroll", "near", *near, "--force").code == 0
     (tmp_path / "l.toml").write_text('name = "filed"\npositions_m = [[0.05, 0], [-0.08, 0.03]]\n')
     assert tagid("enroll", "--file", "l.toml").code == 0
@@ -153,15 +144,11 @@ def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_p
 def test_no_color_and_quiet(tagid) -> None:
     tagid("simulate", "container-90", "--views", 18, "--out", "c.tagid.h5")
     done = tagid("identify", "c.tagid.h5", "--preview", "-q", NO_COLOR="1", FORCE_COLOR="1")
-    assert done.code == 0
-    assert "\x1b[3" not in done.out
-    assert "\x1b[4" not in done.out
-    assert done.err == ""
+    assert (done.code, done.err) == (0, "")
+    assert "\x1b[3" not in done.out and "\x1b[4" not in done.out
 
 
 def test_recover_turns_a_journal_into_a_capture(tagid, tmp_path: Path) -> None:
-    from tagid.storage.journal import JournalWriter
-
     header = {"range_start_m": 0.5, "range_step_m": 0.009, "radar": {"config": {}}}
     with JournalWriter(tmp_path / "s.tagid.journal", header) as journal:
         for number in range(5):
@@ -174,8 +161,7 @@ def test_recover_turns_a_journal_into_a_capture(tagid, tmp_path: Path) -> None:
         "path": "s.tagid.h5", "paths": ["s.tagid.h5"], "views": 5, "complete": False, "bytes_dropped": 13
     }  # fmt: skip
     again = tagid("recover", "s.tagid.journal")
-    assert again.code == 1
-    assert "exists already" in again.err
+    assert again.code == 1 and "exists already" in again.err
 
 
 def test_doctor_finds_a_radar_that_does_not_answer(tagid) -> None:
@@ -184,8 +170,7 @@ def test_doctor_finds_a_radar_that_does_not_answer(tagid) -> None:
     topics = {finding["topic"] for finding in well.json["data"]["findings"]}
     assert {"disk", "layouts", "radar", "packages", "serial ports"} <= topics
     ill = tagid("doctor", "--radar", "udp://127.0.0.1:9", "--output", "json", TAGID_RADAR_TIMEOUT_S="0.1")
-    assert ill.code == 1
-    assert ill.json["data"]["problems"] == 1
+    assert (ill.code, ill.json["data"]["problems"]) == (1, 1)
 
 
 def test_show_leaves_the_image_of_a_scan_alone(tagid, tmp_path: Path) -> None:
@@ -241,13 +226,3 @@ def test_a_program_or_group_alone_prints_its_help(tagid, words) -> None:
     done = tagid(*words)
     assert (done.code, done.err) == (0, "")
     assert done.out == tagid(*words, "--help").out
-
-
-def test_a_wrong_command_is_told_the_nearest(tagid) -> None:
-    done = tagid("reconstuct")
-    assert done.code == 2 and "Did you mean 'reconstruct'?" in done.err
-
-
-def test_a_wrong_setting_is_told_the_nearest(tagid) -> None:
-    done = tagid("config", "set", "moton.url", "free?rpm=2")
-    assert done.code == 2 and "Did you mean motion.url?" in done.err

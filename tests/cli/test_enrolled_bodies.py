@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
-from bodies_synthetic import MUG, TAG, Thing, capture
+from tagid.storage.npz import encode_npz
+from tests.unit.bodies_synthetic import MUG, PLACES, TAG, Thing, capture
 
 
 def write(path: Path, thing: Thing, seed: int, centre: complex, rotation: float, views: int = 48) -> None:
-    shown = capture(thing, seed, centre=centre, rotation=rotation, views=views)
-    np.savez(
-        path,
-        samples=shown.samples,
-        range_start_m=shown.range_start_m,
-        range_step_m=shown.range_step_m,
-        angles_rad=shown.angles_rad,
-        axis_distance_m=shown.axis_distance_m,
-    )
+    path.write_bytes(encode_npz(capture(thing, seed, centre=centre, rotation=rotation, views=views)))
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
-    positions = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
-    for i, (centre, turn) in enumerate(positions):
+    for i, (centre, turn) in enumerate(PLACES):
         write(tmp_path / f"mug{i}.npz", MUG, i, centre, turn)
         write(tmp_path / f"tagged{i}.npz", MUG.plus(TAG), 10 + i, centre, turn)
     write(tmp_path / "seen.npz", MUG.plus(TAG), 30, 0.004 - 0.004j, 1.0, views=20)
     return tmp_path
 
 
-def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any], files: Path) -> None:
+def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid, files: Path) -> None:
     mugs = [f"mug{i}.npz" for i in range(3)]
     looked = tagid("enroll", "--body", "mug", *mugs, "--dry-run", "--output", "json")
     assert looked.code == 0 and not looked.json["data"]["stored"]
@@ -68,7 +56,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []
 
 
-def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[..., Any]) -> None:
+def test_three_simulated_captures_of_one_object_are_enrolled(tagid) -> None:
     """As docs/simulation.md says: --seed alone also moves the handle relative to the tag."""
     cup = ("simulate", "container-90", "--body", "cup:40mm,handle", "--snr", 30, "--views", 48)
 
@@ -91,16 +79,12 @@ def test_three_simulated_captures_of_one_object_are_enrolled(tagid: Callable[...
     ("words", "missing"),
     [((), "a name and captures"), (("mug",), "captures"), (("--capture", "mug0.npz"), "a name")],
 )
-def test_a_body_without_a_name_or_captures(
-    tagid: Callable[..., Any], words: tuple[str, ...], missing: str
-) -> None:
+def test_a_body_without_a_name_or_captures(tagid, words: tuple[str, ...], missing: str) -> None:
     refused = tagid("enroll", "--body", *words)
     assert refused.code == 2 and f"--body without {missing}\n" in refused.err, refused.err
 
 
-def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(
-    tagid: Callable[..., Any], files: Path
-) -> None:
+def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(tagid, files: Path) -> None:
     tagged = [f"tagged{i}.npz" for i in range(3)]
     stored = tagid("enroll", "mug-7", *tagged, "--label", "The blue one", "--output", "json")
     assert stored.code == 0, stored.out

@@ -8,9 +8,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -79,7 +78,7 @@ def test_no_error_about_a_url_holds_its_pass_key(url: str) -> None:
 
 
 def test_nothing_that_is_written_or_printed_holds_the_pass_key(
-    tagid: Callable[..., Any], home: dict[str, str], tmp_path: Path
+    tagid, home: dict[str, str], tmp_path: Path
 ) -> None:
     printed = []
 
@@ -110,16 +109,14 @@ def test_nothing_that_is_written_or_printed_holds_the_pass_key(
     assert [path for path in written if KEY.encode() in path.read_bytes()] == []
 
 
-def test_a_key_in_the_url_is_kept_private(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+def test_a_key_in_the_url_is_kept_private(tagid, home: dict[str, str]) -> None:
     assert tagid("config", "set", "motion.url", URL).code == 0
     Path(home["TAGID_CONFIG"]).chmod(0o644)
     refused = tagid("motion", "info")
     assert refused.code == 2 and "chmod 600" in refused.err
 
 
-def test_a_planted_link_is_replaced_and_one_that_the_user_names_is_followed(
-    tagid: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_planted_link_is_replaced_and_one_that_the_user_names_is_followed(tagid, tmp_path: Path) -> None:
     precious = tmp_path / "precious"
     precious.write_text("precious")
     for name in ("a.show.png", "rep/report.html", "rep/items.jsonl", "rep/.tagid-report.sqlite"):
