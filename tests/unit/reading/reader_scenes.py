@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tagid.capture import Capture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.reading.spectra import Spectra
@@ -35,7 +36,6 @@ def scans_at(
     snr_db: float = 10.0,
     turns: float = 1.0,
     offset_m: float = 0.003,
-    height_m: float = 0.0,
     seed: int = 3,
     shaded: bool = False,
 ) -> BasebandScans:
@@ -45,14 +45,13 @@ def scans_at(
     if shaded:
         parts = (Shaded(**vars(p)) if isinstance(p, Points) else p for p in scene.object)
         scene = replace(scene, object=tuple(parts))
-    acquisition = Acquisition(
-        views=views,
-        snr_db=snr_db,
-        turns=turns,
-        antenna_height_m=height_m,
-        placement=Placement((offset_m, offset_m / 2)),
-    )
-    capture, _ = simulate_capture(scene, acquisition, seed)
+    placement = Placement((offset_m, offset_m / 2))
+    acquisition = Acquisition(views=views, snr_db=snr_db, turns=turns, placement=placement)
+    return prepared(simulate_capture(scene, acquisition, seed)[0])
+
+
+def prepared(capture: Capture) -> BasebandScans:
+    """A recording as the reader takes it."""
     return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
 
 

@@ -27,13 +27,12 @@ from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.rod import RODS
 from tagid.reading.transfers.shade import SHADES
 
+EVEN = spectra_of("container-90", views=36)
 SPECTRA = {
-    "even": spectra_of("container-90", views=36),
+    "even": EVEN,
     "uneven": spectra_of("container-90", views=31, turns=0.8),
+    "heights": replace(EVEN, height_m=np.where(np.arange(36) % 2, 0.12, 0.0), full_turn=False),
 }
-SPECTRA["heights"] = replace(
-    SPECTRA["even"], height_m=np.where(np.arange(36) % 2, 0.12, 0.0), full_turn=False
-)
 LAYOUT = Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights)
 FREE = Arrangement.points(np.array([0.04, 0.05j, -0.03 - 0.03j])).and_one(-0.09j)
 MODELS = {
@@ -94,24 +93,21 @@ def test_a_density_does_not_depend_on_those_asked_before(faces: tuple[Face | Non
         np.testing.assert_allclose(value, _Numpy(spectra, model).values(x, [POWERS], [1e-3]), rtol=1e-9)
 
 
+SLOPED = ["body", "layout", "free", "glued", "glued at heights", "face", "hidden", "plane", "lifted", "tall"]
+
+
 @pytest.mark.parametrize("turn", SPECTRA)
-@pytest.mark.parametrize(
-    "kind",
-    ["body", "layout", "free", "glued", "glued at heights", "face", "hidden", "plane", "lifted", "tall"],
-)
+@pytest.mark.parametrize("kind", SLOPED)
 def test_the_gradient_is_that_of_finite_differences(turn: str, kind: str) -> None:
     """Of numpy's, which that of the compiled loop equals."""
     model = MODELS[kind]
     likelihood, x = _Numpy(SPECTRA[turn], model), somewhere(model)
     value, gradient, hessian = likelihood.expanded(x, POWERS, 1e-3)
-    assert value == pytest.approx(likelihood.values(x, [POWERS], [1e-3])[0, 0], rel=1e-12)
+    steps = 1e-6 * np.eye(len(x))
+    ends = [likelihood.values(x + step, [POWERS], [1e-3])[0, 0] for step in (0 * x, *steps, *-steps)]
+    assert value == pytest.approx(ends[0], rel=1e-12)
     assert np.linalg.eigvalsh(hessian)[0] > -1e-9 * np.abs(hessian).max()
-    step = 1e-6
-    ends = [
-        [likelihood.values(x + sign * step * unit, [POWERS], [1e-3])[0, 0] for sign in (1, -1)]
-        for unit in np.eye(len(x))
-    ]
-    slopes = -np.diff(ends, axis=1)[:, 0] / (2 * step)
+    slopes = np.subtract(ends[1 : len(x) + 1], ends[len(x) + 1 :]) / 2e-6
     # Patterns are linear between aspects: a view at a corner of a table has no slope there.
     np.testing.assert_allclose(gradient, slopes, rtol=1e-4, atol=1e-4 * np.abs(slopes).max())
 
@@ -187,9 +183,7 @@ def test_the_slopes_of_the_prior_are_those_of_finite_differences(kind: str) -> N
     x = somewhere(model)
     assert not model.crowding(x).any()
     _, slopes, precision = model.log_prior(x, slopes=True)
-    ends = [
-        [model.log_prior(x + sign * step * unit, slopes=True) for sign in (1, -1)] for unit in np.eye(len(x))
-    ]
+    ends = [[model.log_prior(x + way, slopes=True) for way in (u, -u)] for u in step * np.eye(len(x))]
     np.testing.assert_allclose([(a[0] - b[0]) / (2 * step) for a, b in ends], slopes, rtol=1e-5, atol=1e-3)
     if not model.shapes:
         bent = [(b[1] - a[1]) / (2 * step) for a, b in ends]
@@ -258,27 +252,20 @@ def test_the_evidence_is_that_of_all_frequencies_together(free: float) -> None:
 
 def test_free_amplitudes_have_the_evidence_of_every_frequency_by_itself() -> None:
     alone = fit(SOME, SEEN, LAM, SIZES).log
-    np.testing.assert_allclose(
-        smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, roots(KAPPA), 1.0), alone, atol=1e-9
-    )
     uncoupled = np.broadcast_to(np.eye(F), (1, F, F)).astype(complex)
-    np.testing.assert_allclose(smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, uncoupled, 0.3), alone, atol=1e-9)
+    for root, free in ((roots(KAPPA), 1.0), (uncoupled, 0.3)):
+        result = smooth_evidence(SOME, SEEN, LAM, SIZES, OWN, root, free)
+        np.testing.assert_allclose(result, alone, atol=1e-9)
 
 
-def test_a_tag_of_one_amplitude_gains_and_one_of_any_does_not() -> None:
+def test_a_tag_of_one_amplitude_gains_and_is_scored_at_the_delay_of_the_likeliest_of_its_kind() -> None:
     spectra = spectra_of("container-90", views=18, snr_db=5.0)
-    model = Model(BARE, Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights), False, 0)
-    result = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
-    assert gains(spectra, result, roots(spectra.kappa)).max() > 5
+    model = Model(BARE, LAYOUT, False, 0)
+    tagged = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
+    assert gains(spectra, tagged, roots(spectra.kappa)).max() > 5
     phases = np.exp(1j * RNG.uniform(0, 2 * np.pi, (len(spectra.kappa), 1)))
     mixed = replace(spectra, data=spectra.data * phases)
-    assert gains(mixed, result, roots(spectra.kappa)).max() < 0
-
-
-def test_the_best_of_a_kind_are_scored_at_the_delay_of_the_likeliest() -> None:
-    spectra = spectra_of("container-90", views=18, snr_db=5.0)
-    model = Model(BARE, Arrangement.of_layout(LAYOUTS[0].positions, LAYOUTS[0].heights), False, 0)
-    tagged = refined(spectra, model, np.zeros(model.parameters), (1e-2, None))
+    assert gains(mixed, tagged, roots(spectra.kappa)).max() < 0
     bare = refined(spectra, replace(model, tag=None), np.zeros(2), (1e-2, None))
     some = [Hypothesis(LAYOUTS[0], tagged, log) for log in (3.0, 2.0)] + [Hypothesis(None, bare, 1.0)]
     first, untagged, second = smoothed(spectra, some)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reader_scenes import prepared
 
 from tagid.capture import Capture
 from tagid.geometry import Aperture
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading.decision import Decision, decide
 from tagid.reading.reader import contest
 from tagid.reading.transfers.plain import BARE
@@ -25,13 +25,12 @@ def read(layout: Layout, heights: tuple[float, ...], raised: float) -> Decision:
 
 
 def decided(capture: Capture) -> Decision:
-    settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
-    base = contest(preprocess(capture, settings=settings), [UP, DOWN, OTHER, FLAT])
+    base = contest(prepared(capture), [UP, DOWN, OTHER, FLAT])
     base.transfers, base.sheets = (BARE,), ()
     return decide(base.run())
 
 
-@pytest.mark.parametrize(("layout", "raised"), [(UP, 0.0), (FLAT, 0.05), (OTHER, -0.04)])
+@pytest.mark.parametrize(("layout", "raised"), [(FLAT, 0.05), (OTHER, -0.04)])
 def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float) -> None:
     decision = read(layout, SEVERAL, raised)
     assert decision.name == layout.name
@@ -41,7 +40,7 @@ def test_a_layout_is_named_wherever_its_plane_lies(layout: Layout, raised: float
 
 def test_a_path_that_rises_from_view_to_view_is_read() -> None:
     """No height has a second view: the mean of all is subtracted, not that of each."""
-    antennas = turn(36, 1.0).positions
+    antennas = turn(24, 1.0).positions
     rising = Aperture(antennas + np.outer(np.linspace(0.0, 0.3, len(antennas)), [0, 0, 1]))
     points = np.column_stack([DOWN.positions, np.asarray(DOWN.heights) + 0.02])
     recorded = record(points, [1, 1, 1], rising, start_m=0.5, noise=0.1)
@@ -55,7 +54,7 @@ def test_a_stranger_that_differs_in_height_alone_is_not_named(
     assert read(STRANGER, heights, raised).name is None
 
 
-@pytest.mark.parametrize(("layout", "height", "raised"), [(UP, 0.0, 0.0), (FLAT, 0.0, 0.05), (UP, 0.2, 0.05)])
+@pytest.mark.parametrize(("layout", "height", "raised"), [(FLAT, 0.0, 0.05), (UP, 0.2, 0.05)])
 def test_from_one_height_no_name_is_wrong(layout: Layout, height: float, raised: float) -> None:
     decision = read(layout, (height,), raised)
     assert decision.name in (None, layout.name)

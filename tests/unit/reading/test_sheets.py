@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reader_scenes import prepared
 
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading import sheet, sheet_tags
 from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Model
@@ -35,20 +35,14 @@ LAYOUTS = builtin_layouts()
 def spectra_of(folder: str, name: str) -> Spectra:
     """Of a thin shell that was solved by the method of moments (tests/data): off the axis, wobbling, the axis
     distance wrong by 8 mm, in a room."""
-    acquisition = Acquisition(
-        views=18,
-        snr_db=20.0,
-        placement=Placement((-0.003, 0.004), 1.0),
-        wobble=Wobble(speed=0.005),
-        axis_distance_error_m=0.008,
-    )
-    shell, reply = (
-        read_response(DATA / folder / f"{name}.npz"),
-        read_response(DATA / "responses/free30_one.npz"),
-    )
+    placement, wobble = Placement((-0.003, 0.004), 1.0), Wobble(speed=0.005)
+    how = {"views": 18, "snr_db": 20.0, "axis_distance_error_m": 0.008}
+    acquisition = Acquisition(placement=placement, wobble=wobble, **how)
+    shell = read_response(DATA / folder / f"{name}.npz")
+    reply = read_response(DATA / "responses/free30_one.npz")
     room = room_clutter(np.random.default_rng(len(name)))
     capture, _ = simulate_capture(response_scene(shell, acquisition, "V", reply, room), acquisition, 1)
-    return Spectra.of(preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5)))
+    return Spectra.of(prepared(capture))
 
 
 @cache
@@ -134,11 +128,10 @@ def test_three_reflectors_in_a_carton_are_no_pair() -> None:
 
 
 def test_no_reflector_stands_inside_metal_where_none_is_seen() -> None:
-    inside = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     for kind, hidden in ((sheet.CAN, True), (sheet.CUP, False)):
         half = kind.size_m
         model = replace(SheetModel.of(kind, (half, half), 0), tag=Arrangement.rigid(np.array([0.02 + 0j])))
-        assert (model.crowding(inside[: model.parameters]).max() > 10) == hidden
+        assert (model.crowding(np.zeros(model.parameters)).max() > 10) == hidden
 
 
 @pytest.mark.parametrize("half_m", [(0.034, 0.069), (0.045, 0.11), (0.06, 0.06)])

@@ -110,7 +110,7 @@ def test_part_of_a_turn_of_another_scale_is_named() -> None:
     scale = 1.02  # the other way than that of the test before
     scans = scaled(scans_of("helmet-120", views=45, turns=0.9, snr_db=20.0), scale)
     base = contest(scans, LAYOUTS)
-    base.sheets = ()
+    base.transfers, base.sheets = (BARE,), ()
     answer = decide(base.run())
     assert answer.name == "helmet-120" and base.spectra.stated is not None
     assert answer.lead > 100
@@ -121,7 +121,7 @@ def test_part_of_a_turn_of_another_scale_is_named() -> None:
 
 def test_a_whole_turn_is_none_where_the_scale_of_its_angles_is_not_known() -> None:
     scale = 1.008
-    scans = scaled(scans_of("helmet-120", views=200, turns=1 / scale, snr_db=20.0), scale)
+    scans = scaled(scans_of("helmet-120", views=128, turns=1 / scale, snr_db=20.0), scale)
     assert contest(scans, LAYOUTS).spectra.full_turn
     stated = replace(scans, angle_scale_sigma=0.06)
     base = contest(stated, LAYOUTS)
