@@ -26,7 +26,7 @@ def bare_npz(path: Path) -> Path:
     return path
 
 
-def answers(tagid: Any, folder: Path, file: Path, words: tuple[object, ...]) -> dict[str, Any]:
+def answers(tagid, folder: Path, file: Path, words: tuple[object, ...]) -> dict[str, Any]:
     """The answer of each command for a file, and what the image was made with."""
     results: dict[str, Any] = {}
     identified = tagid("identify", file, *words, "--output", "json")
@@ -38,7 +38,7 @@ def answers(tagid: Any, folder: Path, file: Path, words: tuple[object, ...]) -> 
     return results
 
 
-def image(tagid: Any, folder: Path, file: Path, words: tuple[object, ...]) -> tuple[Any, Any]:
+def image(tagid, folder: Path, file: Path, words: tuple[object, ...]) -> tuple[Any, Any]:
     """(settings, pixels) of an image; (None, None) if there is none."""
     made = tagid("reconstruct", file, *words, "--method", "bp", "--no-focus", "--pixels", 48,
                  "--out", "i.npz", "--output", "json")  # fmt: skip
@@ -57,7 +57,7 @@ def assert_alike(document: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("motion", ["free?rpm=2&direction=cw", None])
-def test_motion_and_geometry(tagid: Any, tmp_path: Path, motion: str | None) -> None:
+def test_motion_and_geometry(tagid, tmp_path: Path, motion: str | None) -> None:
     file = bare_npz(tmp_path / "bare.npz")
     words = ("--axis-distance", 1.0, "--antenna-height", 0.0, *(("--motion", motion) if motion else ()))
     result = answers(tagid, tmp_path, file, words)
@@ -65,14 +65,14 @@ def test_motion_and_geometry(tagid: Any, tmp_path: Path, motion: str | None) -> 
     assert result["reconstruct"]["axis_distance_m"] == pytest.approx(1.0)
 
 
-def test_a_missing_axis_distance_is_the_same_error_everywhere(tagid: Any, tmp_path: Path) -> None:
+def test_a_missing_axis_distance_is_the_same_error_everywhere(tagid, tmp_path: Path) -> None:
     file = bare_npz(tmp_path / "bare.npz")
     result = answers(tagid, tmp_path, file, ("--motion", "free?rpm=2"))
     assert result["identify"]["status"] == result["report"]["status"] == "failed"
     assert result["identify"]["error"]["code"] == result["report"]["error"]["code"]
 
 
-def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp_path: Path) -> None:
+def test_the_reference_background_is_subtracted_by_every_command(tagid, tmp_path: Path) -> None:
     """`report` used to accept it and subtract nothing."""
     assert tagid("config", "set", "radar.integration", 15).code == 0
     empty = tagid("radar", "calibrate", "--step", "empty", "--radar", "emulator://empty?rpm=0&seed=2",
@@ -90,7 +90,7 @@ def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp
     assert not np.allclose(reference["image"], plain)
 
 
-def test_show_reads_the_file_as_the_others_do(tagid: Any, tmp_path: Path) -> None:
+def test_show_reads_the_file_as_the_others_do(tagid, tmp_path: Path) -> None:
     """`show` keeps every scan; range and geometry are those of `import`."""
     file = bare_npz(tmp_path / "bare.npz")
     shown = tagid("show", file, "--png", tmp_path / "s.png", "--output", "json").json["data"]

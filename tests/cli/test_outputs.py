@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from on_a_terminal import run
+from on_a_terminal import answering, run
 
 from tagid.cli.emulate import is_truth
 from tagid.cli.outputs import check_own
@@ -63,11 +62,16 @@ def test_no_recording_and_no_layouts_are_overwritten(tagid, tmp_path: Path, word
     assert stored(tmp_path) == before
 
 
-def test_an_export_and_a_truth_file_may_be_made_again(tagid, tmp_path: Path) -> None:
+def test_an_export_an_image_and_a_truth_file_may_be_made_again(tagid, tmp_path: Path) -> None:
     for name in ("answers.csv", "answers.parquet"):
         for _ in range(2):
             done = tagid("history", "export", name, "--output", "json")
             assert done.code == 0, done.err
+    (tmp_path / "mine.npz").write_bytes(npz())
+    words = ("reconstruct", "mine.npz", "--method", "bp", "--out", "image.npz", "--png", "image.png")
+    for _ in range(2):
+        assert tagid(*words).code == 0
+    assert "image" in np.load(tmp_path / "image.npz")
     truth = tmp_path / "truth.json"
     assert not is_truth(truth)
     about = emulated_object("emulator://helmet-120?rotation=30")
@@ -76,14 +80,6 @@ def test_an_export_and_a_truth_file_may_be_made_again(tagid, tmp_path: Path) -> 
     check_own(truth, is_truth, "a truth file")
     (tmp_path / "answers.csv").write_text("")
     assert not is_export(tmp_path / "answers.csv") and not is_truth(tmp_path / "answers.csv")
-
-
-def test_an_image_may_be_made_again(tagid, tmp_path: Path) -> None:
-    (tmp_path / "mine.npz").write_bytes(npz())
-    words = ("reconstruct", "mine.npz", "--method", "bp", "--out", "image.npz", "--png", "image.png")
-    for _ in range(2):
-        assert tagid(*words).code == 0
-    assert "image" in np.load(tmp_path / "image.npz")
 
 
 @pytest.mark.parametrize(
@@ -100,9 +96,8 @@ def test_a_picture_that_cannot_be_written_is_refused_before_the_work(
 
 
 def test_an_invalid_prefix_is_not_blamed_on_other_options(tagid) -> None:
-    done = tagid(
-        "layouts", "design", "--object", "mug", "--count", "2", "--prefix", "Mine/x", "--output", "json"
-    )
+    words = ("layouts", "design", "--object", "mug", "--count", "2", "--prefix", "Mine/x")
+    done = tagid(*words, "--output", "json")
     (error,) = done.json["errors"]
     assert done.code == 2 and "--prefix" in error["message"] and "a-z" in error["remedy"]
 
@@ -115,14 +110,7 @@ def test_an_earlier_report_is_replaced_if_the_terminal_agrees(
         (tmp_path / name).write_bytes(b"nothing")
     words = ["report", "--out", str(tmp_path / "r"), "-j", "1"]
     assert tagid(*words, tmp_path / "a.npz").code == 5
-    answered: list[bytes] = []
-
-    def react(sent: bytes, child: object, keyboard: int) -> None:
-        if not answered and b"[y/N]" in sent:
-            answered.append(sent)
-            os.write(keyboard, key + b"\n")
-
-    done = run(home, [*words, str(tmp_path / "b.npz")], (24, 200), react)
-    assert done.code == code and b"r holds a report of 1 capture. Replace it?" in answered[0]
+    done = run(home, [*words, str(tmp_path / "b.npz")], (24, 200), answering((b"[y/N]", key + b"\n")))
+    assert done.code == code and b"r holds a report of 1 capture. Replace it?" in done.sent
     lines = (tmp_path / "r" / "items.jsonl").read_text().splitlines()
     assert [Path(json.loads(line)["file"]).name for line in lines] == files

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import pty
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from on_a_terminal import answering, run
 
 SCENE = "axis_distance=2&rpm=0&seed=3&cable_delay=11234"
 
@@ -45,53 +42,45 @@ def test_both_steps_then_a_scan_uses_delay_and_reference(tagid, tmp_path: Path) 
 def test_without_a_reference_it_says_what_is_missing(tagid) -> None:
     tagid("simulate", "helmet-120", "--views", 18, "--out", "h.tagid.h5")
     done = tagid("reconstruct", "h.tagid.h5", "--background", "reference", "--output", "json")
-    assert done.code == 2
-    assert "--step empty" in done.json["errors"][0]["remedy"]
+    assert done.code == 2 and "--step empty" in done.json["errors"][0]["remedy"]
 
 
 def test_nothing_is_kept_where_nothing_was_found(tagid, tmp_path: Path) -> None:
     url = f"emulator://corner?{SCENE}"
     words = ("radar", "calibrate", "--radar", url, "--scans", 20, "--output", "json")
-    for more, code in (
-        (("--distance", 9), 1),  # no echo there
-        (("--distance", 0), 2),
-        (("--distance", "nan"), 2),
-        (("--step", "target"), 2),
-        (("--step", "x"), 2),
-        (("--distance", 2, "--scans", 3), 2),
+    nowhere = "--distance 9"
+    for more in (
+        nowhere,
+        "--distance 0",
+        "--distance nan",
+        "--step target",
+        "--step x",
+        "--distance 2 --scans 3",
     ):
-        done = tagid(*words, *more)
-        assert done.code == code, (more, done.out)
+        done = tagid(*words, *more.split())
+        assert done.code == (1 if more == nowhere else 2), (more, done.out)
         assert "unexpected" not in done.json["errors"][0]["message"]
     dry = tagid(*words, "--distance", 2, "--dry-run")
-    assert dry.code == 0
-    assert dry.json["data"]["config"] is None
-    assert not (tmp_path / "home" / "config.toml").exists()
-    assert not list((tmp_path / "home").glob("*.h5"))
+    assert dry.code == 0 and dry.json["data"]["config"] is None
+    home = tmp_path / "home"
+    assert not (home / "config.toml").exists() and not list(home.glob("*.h5"))
 
 
-def test_on_a_terminal_it_waits_for_the_user(home: dict[str, str], tmp_path: Path) -> None:
+def test_on_a_terminal_it_waits_for_the_user(home: dict[str, str]) -> None:
     """The emulated scene cannot change in between, so the difference is zero and that is said."""
-    master, slave = pty.openpty()
-    child = subprocess.Popen(
-        [sys.executable, "-m", "tagid", "radar", "calibrate", "--distance", "2", "--scans", "20", "--radar",
-         f"emulator://corner?{SCENE}"],
-        stdin=slave, stdout=slave, stderr=slave, env=home, cwd=tmp_path,
-    )  # fmt: skip
-    os.close(slave)
-    seen = b""
-    for prompt in (b"Remove the target from the beam", b"Put the target at 2 m"):
-        while prompt not in seen:
-            seen += os.read(master, 4096)
-        os.write(master, b"\n")
-    try:
-        while data := os.read(master, 4096):
-            seen += data
-    except OSError:  # the other end of a pty is closed
-        pass
-    assert child.wait(timeout=60) == 1, seen
-    assert b"no echo of a target stands out" in seen
-    os.close(master)
+    words = [
+        "radar",
+        "calibrate",
+        "--distance",
+        "2",
+        "--scans",
+        "20",
+        "--radar",
+        f"emulator://corner?{SCENE}",
+    ]
+    react = answering((b"Remove the target from the beam", b"\n"), (b"Put the target at 2 m", b"\n"))
+    done = run(home, words, (24, 200), react)
+    assert done.code == 1 and b"no echo of a target stands out" in done.sent, done
 
 
 def test_a_delay_that_differs_by_a_metre_is_not_replaced_unasked(tagid, tmp_path: Path) -> None:

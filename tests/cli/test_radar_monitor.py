@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -34,27 +33,13 @@ class Echo:
         return np.rint(2 * CLIP * pulse_at(nominal_pulse(), t).real + rng.normal(0, 40, config.samples))
 
 
-def watch_on_a_terminal(
-    home: dict[str, str],
-    url: str,
-    *words: str,
-    enough: Callable[[bytes], bool] | None = None,
-    **environment: str,
-) -> tuple[dict, bytes]:
-    """(the JSON result, everything that the terminal was sent); Ctrl-C is sent once that is `enough`."""
-    everything = ["radar", "monitor", "--radar", url, "--output", "json", *words]
-    drawn = run(home, everything, (24, 80), stop_at(enough) if enough else None, **environment)
-    assert drawn.code == 0, drawn.sent[-2000:]
-    return json.loads(drawn.out)["data"], drawn.sent
-
-
 def device(**faults: float) -> UdpEmulator:
     core = EmulatorCore(Echo(), CONFIG, Identity(temperature_c=51.5))
     return UdpEmulator(core, ServeOptions(port=0, faults=Faults(**faults)))
 
 
 @pytest.mark.parametrize("colour", [True, False])
-def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> None:
+def test_it_draws_in_colour_and_without_until_ctrl_c(tagid, home: dict[str, str], colour: bool) -> None:
     """It ends when it has drawn losses, clipping and an echo, however long a busy machine takes for that."""
 
     def enough(sent: bytes) -> bool:
@@ -64,39 +49,24 @@ def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> N
         return len(drawn) > 3 and float(drawn[-1]) > 30 and losses[-1] > b"0" and float(clipping[-1]) > 0
 
     with device(lose=0.1, seed=5) as radar:
-        data, sent = watch_on_a_terminal(
-            home, radar.url, enough=enough, **({} if colour else {"NO_COLOR": "1"})
-        )
+        words = ["radar", "monitor", "--radar", radar.url, "--output", "json"]
+        drawn = run(home, words, (24, 80), stop_at(enough), **({} if colour else {"NO_COLOR": "1"}))
+        again = tagid(*words[:4], "--seconds", "0.5")
+    sent = drawn.sent
+    assert drawn.code == 0, sent[-2000:]
+    data = json.loads(drawn.out)["data"]
     assert data["frames"] >= 2  # how many a second is for the benchmark: a busy machine draws late
-    assert data["scans"] > 10
-    assert data["lost"] > 0
-    assert data["clipped_fraction"] > 0
-    assert data["temperature_c"] == 51.5
-    assert data["snr_db"] > 30
+    assert data["scans"] > 10 and data["lost"] > 0 and data["clipped_fraction"] > 0
+    assert data["temperature_c"] == 51.5 and data["snr_db"] > 30
     text = sent.decode(errors="replace")
     for part in ("echo", "clipped", "lost", "51.5 degC", "scans/s"):
         assert part in text
-    assert ("▀" in text) is colour
-    assert ("38;2;" in text) is colour
+    assert ("▀" in text) is ("38;2;" in text) is colour
     assert "Traceback" not in text
     assert "\x1b[?1049l" in text  # the terminal is given back
-
-
-def test_ctrl_c_is_the_ordinary_end_and_the_radar_stands_still(home: dict[str, str]) -> None:
-    with device() as radar:
-        data, sent = watch_on_a_terminal(home, radar.url, enough=lambda sent: sent.count(b"scans/s") >= 4)
-        assert data["scans"] > 0
-        again, _ = watch_on_a_terminal(home, radar.url, "--seconds", "0.5")
-        assert again["scans"] > 0
-    assert b"Traceback" not in sent
-
-
-def test_without_a_terminal_it_only_tells_the_end(tagid) -> None:
-    with device() as radar:
-        done = tagid("radar", "monitor", "--radar", radar.url, "--seconds", "0.5")
-    assert done.code == 0
-    assert "\x1b" not in done.err
-    assert "scans in" in done.out
+    # The radar stands still then, and is watched again; without a terminal only the end is told.
+    assert again.code == 0 and "\x1b" not in again.err and "scans in" in again.out
+    assert not again.out.startswith("0 scans")
 
 
 def scan(number: int, samples: np.ndarray) -> Scan:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ RESPONSES = Path(__file__).resolve().parents[1] / "data" / "responses"
 TAGGED, BODY = RESPONSES / "can30_c180.npz", RESPONSES / "can30.npz"
 
 
-def test_simulate_from_a_response(tagid: Callable[..., Any], tmp_path: Path) -> None:
+def test_simulate_from_a_response(tagid, tmp_path: Path) -> None:
     words = ["simulate", "--response", TAGGED, "--snr-reference", TAGGED, "--snr-reference-body", BODY]
     words += ["--centre", "0.008,-0.006", "--rotation", 30, "--views", 24, "--axis-error", 0.01, "--seed", 3]
     ran = tagid(*words, "--out", "made.npz", "--output", "json")
@@ -39,12 +37,11 @@ def test_simulate_from_a_response(tagid: Callable[..., Any], tmp_path: Path) -> 
     assert turning > 1.3 * centred
 
 
-def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], tmp_path: Path) -> None:
+def test_horizontal_polarisation_is_another_response(tagid, tmp_path: Path) -> None:
     captures = []
     for letter in ("V", "h"):
-        ran = tagid(
-            "simulate", "--response", TAGGED, "--polarisation", letter, "--views", 8, "-o", f"{letter}.npz"
-        )
+        words = ("--polarisation", letter, "--views", 8, "-o", f"{letter}.npz")
+        ran = tagid("simulate", "--response", TAGGED, *words)
         assert ran.code == 0, ran.err
         captures.append(read_any(tmp_path / f"{letter}.npz").samples)
     assert np.abs(captures[0] - captures[1]).max() > 0.2
@@ -53,61 +50,34 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["simulate", "--out", "x.npz"], 2, "either a scene or --response"),
-        (["simulate", "can", "--response", TAGGED, "--out", "x.npz"], 2, "either a scene or --response"),
-        (["simulate", "--response", TAGGED, "--polarisation", "X", "--out", "x.npz"], 2, "no polarisation"),
-        (["simulate", "--response", TAGGED, "--axis-distance", 0.3, "--out", "x.npz"], 2, "nearer than"),
-        (["simulate", "--response", TAGGED, "--antenna-height", 0.2, "--out", "x.npz"], 2, "above the plane"),
-        (["simulate", "--response", TAGGED, "--range-law", "--out", "x.npz"], 2, "cannot be combined"),
-        (["simulate", "--response", "none.npz", "--out", "x.npz"], 1, "no such file"),
-        (["simulate", "--response", __file__, "--out", "x.npz"], 1, "damaged"),
-        (
-            ["simulate", "--response", TAGGED, "--snr-reference-body", BODY, "--out", "x.npz"],
-            2,
-            "without a ref",
-        ),
-        (
-            [
-                "simulate",
-                "--response",
-                TAGGED,
-                "--body",
-                "can",
-                "--reflector",
-                "octahedron",
-                "--out",
-                "x.npz",
-            ],
-            2,
-            "error: --body and --reflector cannot be combined with --response",
-        ),
-        (["simulate", "--response", TAGGED, "--elevation", "50mm", "--out", "x.npz"], 2, "0.050 m below"),
+        (["simulate"], 2, "either a scene or --response"),
+        (["simulate", "can", "--response", TAGGED], 2, "either a scene or --response"),
+        (["simulate", "--response", TAGGED, "--polarisation", "X"], 2, "no polarisation"),
+        (["simulate", "--response", TAGGED, "--axis-distance", 0.3], 2, "nearer than"),
+        (["simulate", "--response", TAGGED, "--antenna-height", 0.2], 2, "above the plane"),
+        (["simulate", "--response", TAGGED, "--range-law"], 2, "cannot be combined"),
+        (["simulate", "--response", "none.npz"], 1, "no such file"),
+        (["simulate", "--response", __file__], 1, "damaged"),
+        (["simulate", "--response", TAGGED, "--snr-reference-body", BODY], 2, "without a ref"),
+        (["simulate", "--response", TAGGED, "--body", "can", "--reflector", "octahedron"], 2,
+         "error: --body and --reflector cannot be combined with --response"),
+        (["simulate", "--response", TAGGED, "--elevation", "50mm"], 2, "0.050 m below"),
         (["emulate", "p440", "--response", TAGGED, "--replay", "x.out"], 2, "--response cannot be"),
-        (
-            ["emulate", "p440", "--response", TAGGED, "--file", "x.toml", "--reflector", "o", "--budget"],
-            2,
-            "error: --file, --reflector and --budget cannot be combined with --response",
-        ),
+        (["emulate", "p440", "--response", TAGGED, "--file", "x.toml", "--reflector", "o", "--budget"], 2,
+         "error: --file, --reflector and --budget cannot be combined with --response"),
         (["emulate", "p440", "--response", TAGGED, "--wobble", 0.9], 2, "wobble"),
-        (
-            ["emulate", "p440", "--replay", "x.out", "--scene", "can"],
-            2,
-            "error: --scene cannot be combined with",
-        ),
+        (["emulate", "p440", "--replay", "x.out", "--scene", "can"], 2,
+         "error: --scene cannot be combined with"),
     ],
-)
-def test_bad_options_get_one_error(
-    words: list[object], code: int, says: str, tagid: Callable[..., Any], tmp_path: Path
-) -> None:
-    ran = tagid(*words)
+)  # fmt: skip
+def test_bad_options_get_one_error(words: list[object], code: int, says: str, tagid, tmp_path: Path) -> None:
+    ran = tagid(*words, *(("--out", "x.npz") if words[0] == "simulate" else ()))
     assert ran.code == code, ran.err
     assert says in ran.err and ran.err.count("error:") == 1
     assert not (tmp_path / "x.npz").exists()
 
 
-def test_emulate_from_a_response_on_a_real_socket(
-    tagid: Callable[..., Any], home: dict[str, str], tmp_path: Path
-) -> None:
+def test_emulate_from_a_response_on_a_real_socket(tagid, home: dict[str, str], tmp_path: Path) -> None:
     """The emulated radar is recorded over UDP; the echo in the recording is that of the response."""
     words = ["--response", TAGGED, "--rpm", 30, "--snr", 30, "--axis-distance", 2.0, "--centre", "0.01,0"]
     with emulated_radar(home, *words, "--rotation", 20, "--rate", 0) as (url, _):
