@@ -3,6 +3,7 @@ and enrolled bodies and objects, with words and pictures."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -118,12 +119,8 @@ def test_another_tag_on_a_can_is_refused_where_it_stands() -> None:
 @cache
 def solved(name: str) -> Reading:
     """The reading of a body that was solved by the method of moments, the axis distance wrong by 10 mm."""
-    acquisition = Acquisition(
-        views=36,
-        snr_db=26.0,
-        placement=Placement((CENTRE.real, CENTRE.imag), TURN),
-        axis_distance_error_m=0.01,
-    )
+    placement = Placement((CENTRE.real, CENTRE.imag), TURN)
+    acquisition = Acquisition(views=36, snr_db=26.0, placement=placement, axis_distance_error_m=0.01)
     response, single = (read_response(RESPONSES / f"{item}.npz") for item in (name, "free30_one"))
     scene = response_scene(response, acquisition, "V", single, room_clutter(np.random.default_rng(3)))
     return identify(simulate_capture(scene, acquisition, 1)[0], ALL).reading
@@ -231,9 +228,8 @@ def test_a_tag_is_named_on_an_enrolled_body_alone() -> None:
     assert reading.hypotheses[0].unexplained < 0.01
     assert len(reading.reflectors) == 2 and all(reflector.matched for reflector in reading.reflectors)
     assert nearest_m(reading, TAG, STAND) < 3e-3
-    assert hypothesis_words(reading) == (
-        "container-90 on the enrolled body mug, centre (4, -4) mm, 0.0 % unexplained"
-    )
+    words = "container-90 on the enrolled body mug, centre (4, -4) mm, 0.0 % unexplained"
+    assert hypothesis_words(reading) == words
 
 
 def test_an_enrolled_body_alone_has_no_tag() -> None:
@@ -298,13 +294,7 @@ def test_a_body_is_subtracted_from_complex_scans_as_from_real_ones() -> None:
     spectrum = np.fft.fft(both.samples, axis=1)
     spectrum[:, both.bins // 2 + 1 :] = 0
     spectrum[:, 1 : both.bins // 2 + 1] *= 2
-    analytic = Capture(
-        np.fft.ifft(spectrum, axis=1).astype(np.complex64),
-        both.range_start_m,
-        both.range_step_m,
-        angles_rad=both.angles_rad,
-        axis_distance_m=both.axis_distance_m,
-    )
+    analytic = replace(both, samples=np.fft.ifft(spectrum, axis=1).astype(np.complex64))
     winner = read_with(CAN.plus(TAG), "").winner
     real, whole = subtracted(both, winner).samples, subtracted(analytic, winner).samples
     assert whole.dtype == np.complex64

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +12,10 @@ from typing import cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from tagid.capture import Capture
+from tagid.cli.imaging import describe
 from tagid.config import data_folder
 from tagid.errors import ConfigError, DataError
 from tagid.metadata import RadarInfo, ScanGap
@@ -21,20 +25,15 @@ from tagid.operate.words import bound_words, coverage_words, notes, trust_words,
 from tagid.operate.workplace import MOST_SCANS, NOT_COMMISSIONED, Workplace
 from tagid.pipeline.answer import Identification
 from tagid.reading.calibration import Bound
-from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.result import Redrawn
+from tagid.simulate import Acquisition, Placement, scene_from_name, simulate_capture
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.history import FILE_NAME
 from tagid.tags.layouts.layout import builtin_layouts
 
 BOUND = Bound(1 / 4700, 0.001, 4999, "24 to 360 views", "simulated objects")
-
-
-SETTINGS = {
-    "radar.url": "emulator://empty",
-    "motion.axis_distance_m": 1.0,
-    "imaging.method": "bp",
-    "imaging.pixels": 32,
-}
+SETTINGS = {"radar.url": "emulator://empty", "motion.axis_distance_m": 1.0, "imaging.method": "bp",
+            "imaging.pixels": 32}  # fmt: skip
 
 
 @pytest.fixture
@@ -44,8 +43,31 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workplace:
     return Workplace(SETTINGS)
 
 
-def recording(seed: int) -> Capture:
-    return simulate_capture(scene_from_name("helmet-120", seed), Acquisition(views=16), seed)[0]
+def recording(seed: int, placement: Placement = Placement((0.003, -0.002), 0.3)) -> Capture:
+    acquisition = Acquisition(views=16, placement=placement)
+    return simulate_capture(scene_from_name("helmet-120", seed), acquisition, seed)[0]
+
+
+def shown(answer: Answer, verbose: bool = False) -> list[str]:
+    printed = io.StringIO()
+    Console(file=printed, width=400).print(Redrawn(describe(answer, "", verbose), str))
+    return [line.rstrip() for line in printed.getvalue().splitlines()]
+
+
+def test_the_screen_has_the_name_how_far_to_trust_it_and_nothing_else_unasked(place: Workplace) -> None:
+    answer = read(place.setup(), recording(2), "a.tagid.h5")
+    name, trust, truth = shown(answer)
+    assert name == "HELMET-120   Helmet, 120 degrees"
+    assert re.fullmatch(r"  at most 1 in [1-9][\d,]+ such objects is named wrongly \(simulated\)", trust)
+    assert truth.startswith("  truth: helmet-120: named rightly, rotation ")
+    assert any(line.startswith("  read as: ") for line in shown(answer, verbose=True))
+    result = answer.identification
+    part = replace(result, coverage=0.42, reading=replace(result.reading, bound=None))
+    assert shown(replace(answer, identification=part))[1] == (
+        "  no bound on wrong names: the views cover 151 of 360 degrees"
+    )
+    early = replace(result, coverage=0.7)
+    assert "  caution: the views cover 252 of 360 degrees" in shown(replace(answer, identification=early))
 
 
 def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> None:
@@ -55,11 +77,8 @@ def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> N
     # Over the symmetry of three equal angles: a third of a turn more or less is the same pose.
     for turned in (0.0, 118.0, 240.0, -359.0):
         truth = replace(whole.object.truth, rotation_deg=whole.object.truth.rotation_deg + turned)
-        seen = compare(
-            replace(whole, object=replace(whole.object, truth=truth)),
-            answer.identification,
-            builtin_layouts().values(),
-        )
+        other = replace(whole, object=replace(whole.object, truth=truth))
+        seen = compare(other, answer.identification, builtin_layouts().values())
         assert abs(seen.rotation_error_deg + (turned + 60) % 120 - 60) < 1
     assert answer.truth.centre_error_m < 2e-3
     emulated = replace(whole, radar=replace(whole.radar, kind=None))
@@ -74,12 +93,13 @@ def test_an_answer_stands_beside_the_truth_of_its_capture(place: Workplace) -> N
     unsure = replace(answer.identification, status="ambiguous")
     assert compare(whole, unsure, []) == Comparison("helmet-120", False)
     assert compare(whole, Identification("failed", None, None, None), []) is None
+    wrong = replace(answer.truth, right=False, rotation_error_deg=None, centre_error_m=None)
+    assert truth_words(wrong) == "helmet-120: not named"
     bare = replace(whole, object=replace(whole.object, layout=None))
     assert compare(bare, Identification("no_tag", None, None, None), []) == Comparison(None, True)
 
 
 def test_a_recording_that_is_given_again_says_nothing_more(place: Workplace) -> None:
-    """Four times the same weak recording gave a wrong name with a bound."""
     once = recording(3)
     copy = replace(once, uuid="another")
     twice = read_jointly(place.setup(), [once, copy])
@@ -90,9 +110,8 @@ def test_a_recording_that_is_given_again_says_nothing_more(place: Workplace) -> 
 
 def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Workplace) -> None:
     noted = recording(2)
-    noted = replace(
-        noted, object=replace(noted.object, note="gate 4"), radar=replace(noted.radar, scans_lost=2)
-    )
+    lossy = replace(noted.radar, scans_lost=2)
+    noted = replace(noted, object=replace(noted.object, note="gate 4"), radar=lossy)
     joint = read_jointly(place.setup(), [recording(3), noted])
     document = joint.to_dict()
     assert joint.name == "helmet-120" and not joint.causes and document["recording_note"] == "gate 4"
@@ -111,7 +130,7 @@ def test_a_joint_answer_has_the_remarks_and_causes_of_its_recordings(place: Work
 
 def test_a_picture_is_drawn_where_the_reflectors_were_read(place: Workplace, tmp_path: Path) -> None:
     """With an axis distance wrong by 12 cm there is nothing to be seen where the rings are."""
-    whole = recording(3)
+    whole = recording(3, Placement())
     wrong = Workplace({**SETTINGS, "motion.axis_distance_m": 1.12})
     answer = read(wrong.setup(), whole)
     assert answer.name == "helmet-120" and "1.00 m, not 1.12 m" in answer.remarks[0]
@@ -182,10 +201,10 @@ def test_the_words_on_trust_never_promise_more_than_the_bound(place: Workplace) 
     assert at(replace(BOUND, p_value=0.0021)).endswith("; set is 1 in 1,000")
     assert at(None) == "no bound on wrong names: answers of this kind are not calibrated"
     assert coverage_words(0.5) == "the views cover 180 of 360 degrees" and not coverage_words(0.98)
+    assert not coverage_words(None)
     assert "too few objects" in bound_words(replace(BOUND, objects=99))
-    assert bound_words(replace(BOUND, p_value=0.0021)).startswith(
-        "false accept at most 0.0021 (0.001 is set)"
-    )
+    over = bound_words(replace(BOUND, p_value=0.0021))
+    assert over.startswith("false accept at most 0.0021 (0.001 is set)")
     assert truth_words(Comparison(None, True)) == "no tag: nothing named"
     assert truth_words(Comparison(None, False, instead="mine")) == "no tag: named wrongly"
     assert truth_words(Comparison("mine", False, instead="helmet-120")) == "mine: named wrongly"
