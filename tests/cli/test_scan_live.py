@@ -1,4 +1,4 @@
-"""`tagid scan --live` on a terminal: the image forms in characters, and the answer follows."""
+"""`tagid scan --live` on a terminal: the image forms in characters; and what --until-sure refuses."""
 
 from __future__ import annotations
 
@@ -31,3 +31,15 @@ def test_the_image_forms_on_a_terminal_without_colours(home: dict[str, str], tmp
     kept = text[text.rindex("\x1b[?1049l") :]
     assert "HELMET-120" in kept and "x, mm" in kept, "the last frame stays"
     assert re.search(r"[-=+*#%@]{3}", screen), "the image is not drawn"
+
+
+def test_what_cannot_end_early_is_refused_before_anything_moves(tagid, tmp_path: Path) -> None:
+    for words, message in (
+        (("--motion", "free"), "--until-sure needs the angle during the scan"),
+        (("--motion", "free?rpm=12", "--repeat", "2"), "--until-sure cannot be combined with --repeat"),
+    ):
+        scan = ("scan", "--until-sure", "--radar", "emulator://helmet-120?rpm=12", "--axis-distance", 1)
+        done = tagid(*scan, "--save-dir", "out", *words, "--output", "json")
+        (error,) = done.json["errors"]
+        assert done.code == 2 and message in error["message"] and error["remedy"]
+    assert not list(tmp_path.glob("out/*"))
