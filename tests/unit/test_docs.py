@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from functools import cache
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -75,30 +74,25 @@ def test_a_page_of_results_says_where_its_tables_come_from(page: Path) -> None:
         if re.search(r"^\||\.csv\)", section, re.M):
             assert [word for word in PROVENANCE if not re.search(rf"{word}: *\S", made)] == [], section[:60]
             scripts = re.findall(r"tests/(?:benchmarks|property|durability)/\w+\.(?:py|sh)", made)
-            names = re.findall(r"python -m tests\.benchmarks ([a-z][a-z-]*)", made)
-            assert scripts or names, f"names no benchmark: {section[:60]}"
+            named = scripts or "python -m tests.benchmarks " in made
+            assert named, f"names no benchmark: {section[:60]}"
             assert [script for script in scripts if not (ROOT / script).exists()] == []
-            assert [name for name in names if name not in BENCHMARKS] == []
 
 
 def test_every_table_of_results_belongs_to_a_benchmark_that_can_run() -> None:
     """A block of a page is of a benchmark of that page, a CSV file is linked, and each function exists."""
+    linked: set[str] = set()
     for page in (DOCS / "results").glob("*.md"):
-        for name in re.findall(r"^<!-- ([a-z-]+) -->$", page.read_text(), re.M):
+        text = page.read_text()
+        linked |= set(re.findall(r"\(([a-z-]+\.csv)\)", text))
+        for name in re.findall(r"^<!-- ([a-z-]+) -->$", text, re.M):
             assert BENCHMARKS[name].page == page.name, name
-    linked = {
-        file
-        for page in (DOCS / "results").glob("*.md")
-        for file in re.findall(r"\(([a-z-]+\.csv)\)", page.read_text())
-    }
     assert linked == {path.name for path in (DOCS / "results").glob("*.csv")}
     for benchmark in BENCHMARKS.values():
         module, _, function = benchmark.work.partition(":")
         tree = ast.parse((ROOT / "tests" / "benchmarks" / f"{module}.py").read_text())
-        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (
-            benchmark.name
-        )
-        assert set(benchmark.needs) <= set(NEEDS), benchmark.name
+        functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert function in functions and set(benchmark.needs) <= set(NEEDS), benchmark.name
 
 
 def test_benchmarks_named_on_the_pages_exist() -> None:
@@ -124,49 +118,32 @@ def test_links_of_the_pages_beside_the_site_lead_somewhere(page: str) -> None:
 
 def test_the_readme_is_short_and_the_changelog_dated() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) < 120
-    assert re.search(
-        rf"^## \[{re.escape(tagid.__version__)}\] - \d{{4}}-\d\d-\d\d$",
-        (ROOT / "CHANGELOG.md").read_text(),
-        re.M,
-    )
+    dated = rf"^## \[{re.escape(tagid.__version__)}\] - \d{{4}}-\d\d-\d\d$"
+    assert re.search(dated, (ROOT / "CHANGELOG.md").read_text(), re.M)
 
 
-class Loads(HTMLParser):
-    """What a page makes the browser load without being asked."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.urls: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        wanted = {"link": "href", "script": "src", "img": "src", "iframe": "src", "source": "src"}
-        if tag in wanted and given.get(wanted[tag]) and given.get("rel") != "canonical":
-            self.urls.append(str(given[wanted[tag]]))
+LOADED = re.compile(
+    r"""<(?:link(?![^>]*canonical)[^>]* href|(?:script|img|iframe|source)\b[^>]* src)="([^"]+)"""
+)
+"""What a page makes the browser load without being asked."""
 
 
 def test_the_site_builds_strictly_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
-    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet"]
-    done = subprocess.run(
-        [*command, "--site-dir", str(tmp_path / "site")],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    site = tmp_path / "site"
+    strictly = ("build", "--strict", "--quiet", "--site-dir", site)
+    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", *strictly]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     # The page for what is not found is written for the root of a server.
-    pages = [page for page in (tmp_path / "site").rglob("*.html") if page.name != "404.html"]
+    pages = [page for page in site.rglob("*.html") if page.name != "404.html"]
     assert len(pages) > 20
     away = set()
     for page in pages:
-        loads = Loads()
-        loads.feed(page.read_text(encoding="utf-8"))
-        away |= {url for url in loads.urls if urlsplit(url).netloc}
-        missing = [u for u in loads.urls if not (page.parent / urlsplit(u).path).exists()]
-        assert missing == [], page.name
-    for style in (tmp_path / "site").rglob("*.css"):
+        urls = LOADED.findall(page.read_text(encoding="utf-8"))
+        away |= {url for url in urls if urlsplit(url).netloc}
+        assert urls and [u for u in urls if not (page.parent / urlsplit(u).path).exists()] == [], page.name
+    for style in site.rglob("*.css"):
         away |= set(re.findall(r"url\(['\"]?((?:https?:)?//[^)'\"]+)", style.read_text(encoding="utf-8")))
     assert away == set()
 
@@ -194,19 +171,12 @@ def test_the_architecture_page_describes_the_code_as_it_is() -> None:
     tree, text = page.split("```")[1], page.split("```")[2]
     rows = re.findall(r"^ *([\w/]+/|[a-z_]+(?: [a-z_]+)*|__init__\.py)(?: {2,}|$)", tree, re.M)
     named = {name for row in rows for name in row.removesuffix("/").split()}
-    rooms = {p.stem for p in (ROOT / "tagid").iterdir() if p.is_dir() or p.suffix == ".py"} - {
-        "__pycache__",
-        "__main__",
-    }
-    assert rooms - named - {"__init__"} == set(), "parts that the page does not name"
+    rooms = {p.stem for p in (ROOT / "tagid").iterdir() if p.is_dir() or p.suffix == ".py"}
+    missing = rooms - named - {"__init__", "__pycache__", "__main__"}
+    assert missing == set(), "parts that the page does not name"
     known = definitions()
     words = re.findall(r"`([\w./]+)`", text)
-    gone = [
-        word
-        for word in words
-        if not (exists(word) if "/" in word or "." in word else word in known or exists(word))
-    ]
-    assert gone == []
+    assert [w for w in words if not exists(w) and ("/" in w or "." in w or w not in known)] == []
     for room, line in re.findall(r"^  ([\w/]+)/ +(.*(?:\n {15,}.*)*)", tree, re.M):
         for folder in re.findall(r"\b(\w+)/", line):
             assert exists(f"{room}/{folder}"), f"{room}/{folder}"
@@ -222,17 +192,11 @@ def test_modules_and_files_that_a_page_names_exist(page: Path) -> None:
     known = definitions()
     gone = []
     for module in modules:
-        parts = module.split(".")
-        while parts and not (
-            (ROOT / "/".join(parts)).is_dir() or (ROOT / ("/".join(parts) + ".py")).exists()
-        ):
-            parts.pop()
-        rest = module.split(".")[len(parts) :]
-        gone += (
-            [module]
-            if len(rest) > 2 or any(name not in known and name not in tagid.__all__ for name in rest)
-            else []
-        )
+        parts, rest = module.split("."), []
+        while parts and not ((ROOT / "/".join(parts)).is_dir() or exists("/".join(parts) + ".py")):
+            rest.append(parts.pop())
+        if len(rest) > 2 or not set(rest) <= known | set(tagid.__all__):
+            gone.append(module)
     assert gone == []
     paths = set(re.findall(r"`((?:tagid|train|tests|firmware_tools|docs|models)/[\w./-]+)`", text))
     assert [path for path in paths if not exists(path)] == []
