@@ -294,10 +294,10 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     return Model(entry, session)
 
 
-def check_all(folder: Path = FOLDER) -> None:
+def check_all() -> None:
     """Raises ModelError or StorageError if any shipped file does not match the manifest."""
-    for name in manifest(folder):
-        model_bytes(name, folder)
+    for name in manifest():
+        model_bytes(name)
 
 
 def _shape(dimensions: Any) -> Shape:

@@ -39,9 +39,7 @@ class Capacity:
     error_rate: float
 
 
-def capacity(
-    target: TaggedObject, rules: DesignRules, error_rate: float, conditions: Conditions = Conditions()
-) -> Capacity:
+def capacity(target: TaggedObject, rules: DesignRules, error_rate: float, conditions: Conditions) -> Capacity:
     """The largest family found on an object with no more readings without a name than a share of them.
 
     Raises UsageError for an impossible rate, or number of candidates.

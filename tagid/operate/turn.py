@@ -293,19 +293,16 @@ def failed(error: TagidError, name: str, path: str = "", uuid: str | None = None
     return Answer(Identification("failed", None, uuid, None, error=problem), name, error=error)
 
 
-def read_jointly(
-    setup: ReadingSetup, sources: Sequence[Path | Capture], files: Sequence[Path] | None = None
-) -> Answer:
+def read_jointly(setup: ReadingSetup, sources: Sequence[Path | Capture]) -> Answer:
     """One joint answer from recordings of one object, files or captures; `alone` holds the answer of each.
 
-    If nothing is named, the likely causes are those of the recordings. Their names are those of `sources`,
-    unless `files` are given.
+    If nothing is named, the likely causes are those of the recordings.
 
     Raises DataError, FileFormatError, StorageError if one cannot be read; UsageError if none is given.
     """
     if not sources:
         raise UsageError("there is no recording to identify", "Give at least one.")
-    names = [displayable(str(file)) if isinstance(file, Path) else "" for file in files or sources]
+    names = [displayable(str(source)) if isinstance(source, Path) else "" for source in sources]
     enrolled = setup.enrolled
     began = datetime.now(UTC)
     kept, loaded = [0], list[PreparedCapture]()
