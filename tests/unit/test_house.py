@@ -233,3 +233,19 @@ def test_every_endless_loop_is_said_to_end() -> None:
         endless
         and [name for name in endless if f"`{name}`" not in rows and f"`{name.parent}/*`" not in rows] == []
     )
+
+
+def test_names_say_what_they_hold() -> None:
+    """Words that say nothing of what a name holds; a pair of left and right is no such name."""
+    words = {"found", "one", "own", "told", "each", "places"}
+    names: list[str] = []
+    others = (path for room in ("tests", "train", "firmware_tools") for path in (ROOT / room).rglob("*.py"))
+    for path in (*FILES, *others):
+        for node in ast.walk(ast.parse(path.read_text())):
+            stored = isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store)
+            name = getattr(node, "id", None) or getattr(node, "attr", "") if stored else ""
+            name = node.arg if isinstance(node, ast.arg) else name
+            names += [f"{path}:{node.lineno} {name}"] if name in words else []
+    packaged = [name for name in names if name.startswith(str(PACKAGE))]
+    assert len(packaged) <= 15, packaged
+    assert len(names) < 40, names
