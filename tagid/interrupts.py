@@ -173,9 +173,10 @@ class Deferred:
         try:
             ours = _restore(self._before)
         finally:
-            waiting = list(_state.waiting)
-            _state.waiting.clear()
-            _state.depth = 0
+            _state.depth = (
+                0  # first: a signal from here on takes effect, and is not put into a list that is read
+            )
+            waiting, _state.waiting = _state.waiting, []
         if not ours:
             for number in waiting:
                 signal.raise_signal(number)
