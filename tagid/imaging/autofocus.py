@@ -207,7 +207,7 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
 
     Points must explain the scans better there than at the given distance, and the sectors of the turn agree
     on that. Any round body is explained better by a nearer axis. Such a one needs a second spot, and has to
-    be better than all others, too.
+    be better than all others, nearer ones as well.
 
     Args:
         scans: without matched filter, with as much range beyond the grid.
@@ -223,8 +223,10 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
     ):
         return None
     few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
-    steps = round(FAR_WAVELENGTHS / _FAR_STEP_WAVELENGTHS)
-    offsets = np.linspace(-reach, reach, 2 * steps + 1)
+    # What is explained the better the nearer the axis is put must show it.
+    step = _FAR_STEP_WAVELENGTHS * lam
+    nearest, farthest = round(min(_BEYOND * reach, 0.9 * given) / step), round(reach / step)
+    offsets = step * np.arange(-nearest, farthest + 1)
     points = PointSearch(few, grid)
     tried = [points.explain(few.aperture.with_axis_distance(given + offset)) for offset in offsets]
     residuals = np.array([explained.left for explained in tried])
@@ -235,7 +237,7 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
     needed = needed_evidence(residuals.shape[1])
     shown = _least_t(residuals[near] - residuals[best]) >= needed
     if off < 0:
-        shown = tried[best].second >= LEAST_SECOND
+        shown = off >= -reach and tried[best].second >= LEAST_SECOND
         shown = shown and _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam) >= needed
     return given + _lowest(offsets, residuals.sum(axis=1)) if shown else None
 

@@ -13,7 +13,7 @@ from tests.benchmarks.focus_scenes import FAMILIES, P440, RADARS, SONAR, Radar, 
 from tests.benchmarks.run import Run
 from tests.benchmarks.tables import Table
 
-FIRST_SEED = 7100
+FIRST_SEED = 7200
 HEIGHT_M = 0.5
 KINDS = {
     "isolated reflectors": ("reflectors", "one reflector"),
@@ -22,7 +22,7 @@ KINDS = {
 }
 NOTE = """Scenes of `focus_scenes.py`, as those of the axis distance (72 to 360 views, noise 10 to 30 dB under
 the strongest sample, P440 and a radar of 17 mm; the height of P440 alone), through `reconstruct` with
-backprojection. The limits were chosen on other seeds, 1500 to 1509. A recording counts as found where the
+backprojection. The limits were chosen on other seeds, 1500 to 1525. A recording counts as found where the
 warning names this error. An antenna that stands higher than given shows as an axis that is farther. Angles
 of the opposite direction are those of the mirror image, which no scan tells; a carrier 5 % off changes what
 points leave by less than a hundredth of the energy, and is not told, either."""
