@@ -226,7 +226,7 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
     # What is explained the better the nearer the axis is put must show it.
     step = _FAR_STEP_WAVELENGTHS * lam
     nearest, farthest = round(min(_BEYOND * reach, 0.9 * given) / step), round(reach / step)
-    offsets = step * np.arange(-nearest, farthest + 1)
+    offsets = step * np.arange(-nearest, farthest + 1, dtype=np.float64)
     points = PointSearch(few, grid)
     tried = [points.explain(few.aperture.with_axis_distance(given + offset)) for offset in offsets]
     residuals = np.array([explained.left for explained in tried])
