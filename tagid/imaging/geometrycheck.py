@@ -45,23 +45,6 @@ _SURE = 2.75
 _VIEWS = 90
 
 
-def geometry_warnings(scans: BasebandScans, grid: ImageGrid, *, axis: bool) -> list[str]:
-    """What seems to be wrong with angles and axis distance of a turntable's scans.
-
-    Args:
-        scans: without matched filter, in the order of their angles, with `FAR_WAVELENGTHS` of range kept
-            beyond the grid.
-        grid: the square of interest.
-        axis: whether the axis distance is asked for.
-    """
-    if scans.aperture.angles is None or not np.any(scans.samples):
-        return []
-    if (warning := _turn_warning(scans, grid)) is not None:
-        return [warning]  # under wrong angles no distance can be told
-    warning = _axis_warning(scans, grid) if axis else None
-    return [] if warning is None else [warning]
-
-
 def _better(scans: BasebandScans, grid: ImageGrid, factor: float) -> float:
     """How much better points explain scans with their angles times a factor: t value over the sectors."""
     some = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
@@ -106,8 +89,15 @@ def _energy(samples: NDArray[np.complex128]) -> Floats:
     return np.asarray((np.abs(samples) ** 2).sum(axis=1))
 
 
-def _turn_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
-    assert scans.aperture.angles is not None
+def turn_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
+    """A warning where the scans of a turn do not fit their angles, else None.
+
+    Args:
+        scans: of a turntable, without matched filter, in the order of their angles.
+        grid: the square of interest.
+    """
+    if scans.aperture.angles is None or not np.any(scans.samples):
+        return None
     angles = np.unwrap(scans.aperture.angles)
     span, step = float(np.ptp(angles)), float(np.median(np.abs(np.diff(angles))))
     if scans.aperture.views < _LEAST_VIEWS:
@@ -154,7 +144,11 @@ def _halves_alike(scans: BasebandScans, angles: Floats) -> float:
     return 2 * float((one.conj() * other).real.sum()) / energy if energy > _CLEAR * noise else 0.0
 
 
-def _axis_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
+def axis_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
+    """A warning where the scans of a turntable fit another axis distance, else None.
+
+    Arguments as of `turn_warning`; `FAR_WAVELENGTHS` of range are kept beyond the grid.
+    """
     there, given = far_axis(scans, grid), scans.aperture.axis_distance
     if there is None or given is None:
         return None

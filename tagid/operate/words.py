@@ -329,13 +329,14 @@ def calibration_words(settings: ImageFacts) -> list[str]:
 
 def learned_words(result: Reconstruction) -> list[str]:
     """Everything that a reconstruction reports of its image, one line each."""
-    facts = facts_of(result.image.settings)
+    facts, focus = facts_of(result.image.settings), result.focus
+    warnings = facts.get("warnings", ())
     return [
         *held_out_words(facts),
         *([COUPLED_PIXELS] if is_coupled(facts) else []),
         *outside_words(facts),
-        *facts.get("warnings", ()),
-        *focus_words(result.focus),
+        *warnings,
+        *([] if focus is not None and focus.reason in warnings else focus_words(focus)),
         *region_words(result.region),
         *pulse_words(result.pulse),
         *calibration_words(facts),

@@ -24,7 +24,7 @@ from tagid.imaging.copies import path_warning
 from tagid.imaging.coupled import coupled_recovery
 from tagid.imaging.facts import HeldOutFacts, OutsideFacts, facts_of, is_coupled
 from tagid.imaging.farfield import polar_format, range_doppler
-from tagid.imaging.geometrycheck import geometry_warnings
+from tagid.imaging.geometrycheck import axis_warning, turn_warning
 from tagid.imaging.heldout import check, left_out
 from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import NOT_SEARCHED, Outside, find_outside, views_searched
@@ -165,7 +165,7 @@ def reconstruct(
     unfiltered, sparse = _unfiltered(prepared, scans, method), METHODS[method].sparse
     outside: Outside | None = None
     with watch.stage("focus"):
-        warnings = _geometry_warnings(prepared, grid, focus)
+        warnings, focus = _geometry(prepared, grid, focus)
     if settings.outside and settings.preset != "paper" and (tell_outside or sparse):
         with watch.stage("outside"):
             remark = remarked(progress, "echoes outside the image")
@@ -192,14 +192,22 @@ def reconstruct(
     )
 
 
-def _geometry_warnings(prepared: PreparedCapture, grid: ImageGrid, focus: AxisFocus | None) -> list[str]:
-    """What seems to be wrong with angles, wavelength, and the axis distance where no better one is used."""
+def _geometry(
+    prepared: PreparedCapture, grid: ImageGrid, focus: AxisFocus | None
+) -> tuple[list[str], AxisFocus | None]:
+    """What seems to be wrong with the angles, or else with an axis distance that was not found better; it is
+    the reason of the focus, too.
+    """
     if prepared.given.angles_rad is None:
-        return []
+        return [], focus
     plain = prepared.settings.preprocessing(matched_filter=False)
     wide = replace(plain, margin_m=FAR_WAVELENGTHS * prepared.given.wavelength_m)
-    axis = focus is not None and not focus.reliable
-    return geometry_warnings(prepared.focused(prepared.scans(wide)), grid, axis=axis)
+    scans = prepared.focused(prepared.scans(wide))
+    if (warning := turn_warning(scans, grid)) is not None:
+        return [warning], focus  # under wrong angles no distance can be told
+    if focus is None or focus.reliable or (warning := axis_warning(scans, grid)) is None:
+        return [], focus
+    return [warning], replace(focus, reason=warning)
 
 
 def _placed(
