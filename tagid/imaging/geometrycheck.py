@@ -122,9 +122,9 @@ def turn_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
         )
     if not _HALF[0] <= span <= _HALF[1]:
         return None
-    alike = near is not None and near.worse > _USUAL and near.median < _DENSE
+    ends_meet = near is not None and near.worse > _USUAL and near.median < _DENSE
     factor = 2 * np.pi / (span + step)
-    if not alike and _better(scans, grid, factor) < _SURE:
+    if not ends_meet and _better(scans, grid, factor) < _SURE:
         return None
     return (
         f"the first scan and the last are as alike as neighbours, though {np.rad2deg(span):.0f} degrees "

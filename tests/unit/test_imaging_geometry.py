@@ -63,6 +63,11 @@ def test_two_turns_given_as_one_repeat() -> None:
     assert "twice the speed" in said(turned(part=2.0, factor=0.5))
 
 
+def test_one_turn_of_an_object_that_is_nearly_alike_from_both_sides_is_none_of_two() -> None:
+    pair = record([[0.1005, 0.0], [-0.0995, 0.0]], [1, 1], turn(120), start_m=0.55, noise=0.02)
+    assert not said(replace(pair, axis_distance_m=1.0))
+
+
 def test_a_whole_turn_given_as_half_of_one_has_ends_that_are_neighbours() -> None:
     assert "store angles_rad times 2, or" in said(turned(factor=0.5))
 
