@@ -14,7 +14,6 @@ from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import (
-    BEYOND_SEARCH,
     BIAS_WAVELENGTHS,
     MOST_SIGMA_WAVELENGTHS,
     PART_OF_TURN,
@@ -158,10 +157,10 @@ def test_a_distance_beyond_the_search_is_found_by_a_wider_one(tagid: Any, tmp_pa
     settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none", held_out=False)
     near = reconstruct(capture, settings, tell_outside=False).focus
     assert near is not None and not near.reliable
-    assert near.reason == BEYOND_SEARCH and "--axis-search" not in " ".join(focus_words(near))
+    assert "seems to be 1.00 m" in near.reason and "`focus_m=0.1`" in near.reason
     write_capture(tmp_path / "far.tagid.h5", capture)
     words = ("--method", "bp", "--extent", 0.4, "--pixels", 48, "--background", "none", "--png", "a.png")
-    assert "--axis-search METRES searches farther" in tagid("reconstruct", "far.tagid.h5", *words).out
+    assert "search farther with --axis-search 0.1\n" in tagid("reconstruct", "far.tagid.h5", *words).out
     far = reconstruct(capture, replace(settings, focus_m=1.9 * LAM), tell_outside=False).focus
     assert far is not None and far.reliable
     assert far.axis_distance_m == pytest.approx(1.0, abs=0.002)
