@@ -173,9 +173,8 @@ class Deferred:
         try:
             ours = _restore(self._before)
         finally:
-            _state.depth = (
-                0  # first: a signal from here on takes effect, and is not put into a list that is read
-            )
+            # First: a signal from here on takes effect, and is not put into a list that is read.
+            _state.depth = 0
             waiting, _state.waiting = _state.waiting, []
         if not ours:
             for number in waiting:

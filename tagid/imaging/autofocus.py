@@ -18,8 +18,15 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.lengths import search_range_m
-from tagid.imaging.pointmodel import PointSearch, band_delays, jackknife_error, needed_evidence
-from tagid.imaging.preprocess import select_views
+from tagid.imaging.pointmodel import (
+    ENOUGH_VIEWS,
+    PointSearch,
+    band_delays,
+    jackknife_error,
+    needed_evidence,
+    t_value,
+)
+from tagid.imaging.preprocess import thinned
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak, vertex
 from tagid.types import Floats
@@ -68,7 +75,6 @@ energy to this."""
 
 _PIXEL_WAVELENGTHS = 0.0922
 _MAX_PIXELS = 160
-_VIEWS = 90
 _HALF_WINDOW = 2
 
 
@@ -176,7 +182,7 @@ def focus_axis_distance(
         return scans, AxisFocus(distance, reason=PART_OF_TURN)
     pixels = int(np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * lam)), 2, _MAX_PIXELS))
     search = ImageGrid(grid.extent, pixels)
-    few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
+    few = thinned(scans, ENOUGH_VIEWS)
     offsets = np.linspace(-search_m, search_m, 2 * max(2, round(search_m / (STEP_WAVELENGTHS * lam))) + 1)
     apertures = (few.aperture.with_axis_distance(distance + float(offset)) for offset in offsets)
     images = [backproject(few.with_aperture(aperture), search).values for aperture in apertures]
@@ -222,8 +228,7 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
         or not _is_turn(scans.aperture.angles)
     ):
         return None
-    few = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
-    # What is explained the better the nearer the axis is put must show it.
+    few = thinned(scans, ENOUGH_VIEWS)
     step = _FAR_STEP_WAVELENGTHS * lam
     nearest, farthest = round(min(_BEYOND * reach, 0.9 * given) / step), round(reach / step)
     offsets = step * np.arange(-nearest, farthest + 1, dtype=np.float64)
@@ -235,10 +240,10 @@ def far_axis(scans: BasebandScans, grid: ImageGrid) -> float | None:
     if near[best] or residuals.shape[1] < 3:
         return None
     needed = needed_evidence(residuals.shape[1])
-    shown = _least_t(residuals[near] - residuals[best]) >= needed
+    shown = t_value(residuals[near] - residuals[best]).min() >= needed
     if off < 0:
         shown = off >= -reach and tried[best].second >= LEAST_SECOND
-        shown = shown and _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam) >= needed
+        shown = shown and _least_t(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam) >= needed
     return given + _lowest(offsets, residuals.sum(axis=1)) if shown else None
 
 
@@ -269,7 +274,7 @@ def _judged(
     there = few.with_aperture(few.aperture.with_axis_distance(given + offset))
     band_m = band_delays(there, points.explain(there.aperture)).error_m
     sigma_m = float(np.hypot(sectors_m, band_m))
-    evidence = _t_value(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam)
+    evidence = _least_t(offsets, residuals, best, _RIVAL_WAVELENGTHS * lam)
     needed = needed_evidence(residuals.shape[1])
     reason = ""
     if not (0 < best < len(offsets) - 1 and max(abs(offset), abs(lowest)) < search_m):
@@ -298,18 +303,12 @@ def _judged(
     )
 
 
-def _t_value(offsets: Floats, residuals: Floats, best: int, rival_m: float) -> float:
+def _least_t(offsets: Floats, residuals: Floats, best: int, rival_m: float) -> float:
     """Least t of the paired differences (groups,) between every rival and the best; 0 without a rival."""
     rivals = np.flatnonzero(np.abs(offsets - offsets[best]) >= rival_m * 0.999)
     if residuals.shape[1] < 3 or not len(rivals):
         return 0.0
-    return _least_t(residuals[rivals] - residuals[best])
-
-
-def _least_t(worse: Floats) -> float:
-    """Least t of differences (rivals, groups)."""
-    spread = worse.std(axis=1, ddof=1) / np.sqrt(worse.shape[1])
-    return float((worse.mean(axis=1) / np.maximum(spread, 1e-12)).min())
+    return float(t_value(residuals[rivals] - residuals[best]).min())
 
 
 def _jackknife(offsets: Floats, residuals: Floats) -> float:

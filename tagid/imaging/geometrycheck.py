@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import far_axis
-from tagid.imaging.pointmodel import PointSearch
-from tagid.imaging.preprocess import select_views
+from tagid.imaging.pointmodel import ENOUGH_VIEWS, GROUPS, PointSearch, needed_evidence, t_value
+from tagid.imaging.preprocess import thinned
 from tagid.imaging.types import BasebandScans
 from tagid.types import Floats
 
@@ -40,20 +40,18 @@ _APART = 0.2
 """Difference of the ends of a turn, over their energy, that does not close, at least."""
 _CLEAR = 1.0
 """Energy of two scans over that of their noise from which on their difference counts."""
-_SURE = 2.75
-"""t value, over the sectors of the turn, from which on points fit better under other angles."""
-_VIEWS = 90
+_SURE = needed_evidence(GROUPS)
+"""t value from which on points fit better under other angles."""
 
 
 def _better(scans: BasebandScans, grid: ImageGrid, factor: float) -> float:
     """How much better points explain scans with their angles times a factor: t value over the sectors."""
-    some = select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
+    some = thinned(scans, ENOUGH_VIEWS)
     aperture = some.aperture
     assert aperture.angles is not None and aperture.axis_distance is not None
     search = PointSearch(some, grid)
     turned = aperture.turned(aperture.angles * factor, aperture.axis_distance)
-    gain = search.explain(aperture).left - search.explain(turned).left
-    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-12))
+    return float(t_value(search.explain(aperture).left - search.explain(turned).left))
 
 
 class _Neighbours(NamedTuple):
@@ -96,34 +94,41 @@ def turn_warning(scans: BasebandScans, grid: ImageGrid) -> str | None:
         scans: of a turntable, without matched filter, in the order of their angles.
         grid: the square of interest.
     """
-    if scans.aperture.angles is None or not np.any(scans.samples):
+    angles = scans.aperture.angles
+    if angles is None or len(angles) < _LEAST_VIEWS or not np.any(scans.samples):
         return None
-    angles = np.unwrap(scans.aperture.angles)
+    angles = np.unwrap(angles)
     span, step = float(np.ptp(angles)), float(np.median(np.abs(np.diff(angles))))
-    if scans.aperture.views < _LEAST_VIEWS:
-        return None
-    near = _neighbours(scans)
     if abs(span + step - 2 * np.pi) <= _WHOLE * step:
-        alike = _halves_alike(scans, angles)
-        if alike > _REPEATED and _better(scans, grid, 2) > _WORSE:
-            return (
-                "the scans of one half of the turn repeat those of the other (correlation "
-                f"{min(alike, 1):.2f}). If the object made two turns, store twice angles_rad, or give twice "
-                "the speed (`motion.url`); one that looks the same from opposite sides repeats, too"
-            )
-        if near is None or near.worse > _POOR or near.ends < _APART:
-            return None
-        if not (near.worse <= _WORST and near.median < _DENSE) and _better(scans, grid, 0.5) < _SURE:
-            return None
+        return _whole_turn(scans, grid, angles)
+    return _part(scans, grid, span, step) if _HALF[0] <= span <= _HALF[1] else None
+
+
+def _whole_turn(scans: BasebandScans, grid: ImageGrid, angles: Floats) -> str | None:
+    """A warning where scans of a whole turn, by their angles, are those of two or of half of one."""
+    alike = _halves_alike(scans, angles)
+    if alike > _REPEATED and _better(scans, grid, 2) > _WORSE:
         return (
-            "the turn does not close: its last scan and its first differ more than "
-            f"{100 * (1 - near.worse):.0f} % of neighbours. Did the object make one turn, and keep its "
-            "place? If it made half of one, store half of angles_rad, or give half the speed (`motion.url`)"
+            "the scans of one half of the turn repeat those of the other (correlation "
+            f"{min(alike, 1):.2f}). If the object made two turns, store twice angles_rad, or give twice "
+            "the speed (`motion.url`); one that looks the same from opposite sides repeats, too"
         )
-    if not _HALF[0] <= span <= _HALF[1]:
+    near = _neighbours(scans)
+    if near is None or near.worse > _POOR or near.ends < _APART:
         return None
+    if not (near.worse <= _WORST and near.median < _DENSE) and _better(scans, grid, 0.5) < _SURE:
+        return None
+    return (
+        "the turn does not close: its last scan and its first differ more than "
+        f"{100 * (1 - near.worse):.0f} % of neighbours. Did the object make one turn, and keep its "
+        "place? If it made half of one, store half of angles_rad, or give half the speed (`motion.url`)"
+    )
+
+
+def _part(scans: BasebandScans, grid: ImageGrid, span: float, step: float) -> str | None:
+    """A warning where scans of a part of a turn, by their angles, rad, are those of a whole one."""
+    near, factor = _neighbours(scans), 2 * np.pi / (span + step)
     ends_meet = near is not None and near.worse > _USUAL and near.median < _DENSE
-    factor = 2 * np.pi / (span + step)
     if not ends_meet and _better(scans, grid, factor) < _SURE:
         return None
     return (

@@ -28,6 +28,8 @@ BAND_PARTS = 3
 """Parts of the band that are asked for a distance of their own: the fewest with a standard deviation worth
 the name, each as wide as possible, since the error of a slope grows as its width shrinks. What two halves
 say is compared beside it (`BandDelays`)."""
+ENOUGH_VIEWS = 90
+"""Views that tell an axis or angles as well as more do."""
 _PADDED = 4
 """Frequencies for every range bin, so that neighbouring phases differ by less than half a turn."""
 
@@ -195,6 +197,12 @@ def jackknife_error(without: Sequence[float]) -> float:
     if groups < 3:
         return float("nan")
     return float(np.sqrt((groups - 1) * np.var(without)))
+
+
+def t_value(gain: NDArray[np.float64]) -> NDArray[np.float64]:
+    """t of gains (..., groups) of at least two sectors: their mean over its standard error."""
+    error = gain.std(axis=-1, ddof=1) / np.sqrt(gain.shape[-1])
+    return np.asarray(gain.mean(axis=-1) / np.maximum(error, 1e-12))
 
 
 def needed_evidence(groups: int) -> float:

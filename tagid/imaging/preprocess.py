@@ -400,3 +400,8 @@ def select_views(scans: BasebandScans, views: NDArray[np.integer] | slice) -> Ba
         aperture=scans.aperture.select(views),
         independent_samples=scans.independent_samples * share,
     )
+
+
+def thinned(scans: BasebandScans, views: int) -> BasebandScans:
+    """Every so many-th view: at least as many as asked for, where there are, and fewer than twice as many."""
+    return select_views(scans, slice(None, None, max(1, scans.aperture.views // views)))

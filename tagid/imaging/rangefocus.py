@@ -18,7 +18,7 @@ from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.pathside import STRAIGHT_WAVELENGTHS, sides_to_search
 from tagid.imaging.pointmodel import needed_evidence
-from tagid.imaging.preprocess import select_views
+from tagid.imaging.preprocess import thinned
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak
 from tagid.types import Floats
@@ -180,7 +180,7 @@ def focus_delay(
     if not 0 < search_m <= MAX_SEARCH_WAVELENGTHS * lam:
         most = MAX_SEARCH_WAVELENGTHS * lam
         raise UsageError(f"the delay search is +-{search_m} m", f"Give up to {most:.3g} m.")
-    few = _thinned(scans)
+    few = thinned(scans, _VIEWS)
     sides = sides_to_search(scans.aperture.positions, lam, towards, compare)
     searched = [_search(scans, few, side, search_m) for side in sides]
     focus = searched[0].focus
@@ -354,7 +354,7 @@ def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0))
     """Places of the strong echoes at the ranges as given, strongest first; arguments of `focus_delay`."""
     (side,) = sides_to_search(scans.aperture.positions, scans.wavelength_m, towards, compare=False)
     reference, echoes = _strong_echoes(scans, side)
-    return _in_focus(_thinned(scans), reference, echoes, 0.0) if len(echoes) else ()
+    return _in_focus(thinned(scans, _VIEWS), reference, echoes, 0.0) if len(echoes) else ()
 
 
 def _in_focus(few: BasebandScans, reference: Floats, echoes: Floats, delay: float) -> tuple[EchoPoint, ...]:
@@ -363,10 +363,6 @@ def _in_focus(few: BasebandScans, reference: Floats, echoes: Floats, delay: floa
     points = _measure(few, reference, echoes, np.array([delay]), _FINE * lam).points
     real = _real(points, few.aperture.positions, echoes, lam)
     return _strongest_first(tuple(points[i] for i in real))
-
-
-def _thinned(scans: BasebandScans) -> BasebandScans:
-    return select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
 
 
 def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
