@@ -23,7 +23,8 @@ from tests.processes import TAGID, emulated, wait_until
 
 pytestmark = pytest.mark.realtime
 
-RADAR = "emulator://helmet-120?rpm=1&rate=1&seed=2"
+RADAR = "emulator://helmet-120?rpm=0.5&rate=1&seed=2"
+"""A slow table: looks have time on any computer."""
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def home(home: dict[str, str]) -> dict[str, str]:
 
 
 def live_words(radar: str, folder: Path) -> list[str]:
-    return ["scan", "--until-sure", "--live", "--radar", radar, "--motion", "free?rpm=1", "--axis-distance",
+    return ["scan", "--until-sure", "--live", "--radar", radar, "--motion", "free?rpm=0.5", "--axis-distance",
             "1", "--method", "bp", "--save-dir", str(folder), "--output", "json"]  # fmt: skip
 
 
