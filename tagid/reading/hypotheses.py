@@ -14,8 +14,8 @@ import numpy as np
 
 from tagid.reading import sheet_tags
 from tagid.reading.arrangement import Arrangement
-from tagid.reading.columns import PLANE_SD_M, RING_M, Model, Priors
-from tagid.reading.descent import FAR_M, TAG, Estimate, Powers, best_powers, refined
+from tagid.reading.columns import PLANE_SD_M, Model, Priors
+from tagid.reading.descent import TAG, Estimate, Powers, best_powers, refined
 from tagid.reading.hypothesis import (
     MOST_ODD,
     Arranged,
@@ -26,7 +26,6 @@ from tagid.reading.hypothesis import (
     bodies_apart,
     disc_of,
     distinct,
-    middle_of,
     rivals,
     same_place,
 )
@@ -210,7 +209,6 @@ class Contest:
         self._facing()
         if self.sheets:
             self._sheets()
-        self._about_own_middle()
         self._as_enrolled()
         self._as_free()
         self._raised()
@@ -554,29 +552,6 @@ class Contest:
             alike = more[int(np.argmax(logs))]
             best = self._placed(None, *alike, (None,), middle=hypothesis.middle, prior=float(np.log(MORE)))
             self.grow(best, MOST_ODD - best.estimate.model.odd)
-
-    def _about_own_middle(self) -> None:
-        """The best layout and an odd scatterer as one tag about their own middle: loud ones move a body's."""
-        hypothesis = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z)
-        estimate = hypothesis.estimate
-        if hypothesis.layout is None or estimate.model.tag is None:
-            return
-        for odd in estimate.odd:
-            points = np.append(estimate.positions, odd)
-            centre = middle_of(points)
-            radius = float(np.abs(points - centre).mean())
-            if abs(centre) > FAR_M or not RING_M[0] < radius < RING_M[1]:
-                continue
-            tag = Arrangement.ring(radius, np.angle(points - centre))
-            starts = []
-            for transfer in self.transfers:
-                levels, disc = self.spectra.levels, disc_of(radius)
-                model = Model(transfer, tag, transfer.body, disc, levels=levels, priors=self.priors)
-                x = np.zeros(model.parameters)
-                x[:2] = centre.real, centre.imag
-                starts.append((best_powers(self.spectra, model, x, 1e-2)[1], model, x))
-            for _, model, x in sorted(starts, key=lambda start: -start[0])[:2]:
-                self.grow(self._placed(None, model, x), MOST_ODD)
 
     def _by_hand(self) -> None:
         """The best layouts with every reflector a little off its place, as they were glued."""

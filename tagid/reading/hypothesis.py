@@ -226,13 +226,6 @@ def as_layouts(estimate: Estimate, layouts: Sequence[Layout]) -> Iterator[tuple[
             yield layout, placed, x, arranged.middle
 
 
-def middle_of(positions: Complex) -> complex:
-    """Centre of the circle nearest to three places or more (K,), x + jy, m."""
-    rows = np.stack([positions.real, positions.imag, np.ones(len(positions))], axis=1)
-    across, along, _ = np.linalg.lstsq(rows, np.abs(positions) ** 2, rcond=None)[0]
-    return complex(across, along) / 2
-
-
 def unlike(starts: list[Candidate], count: int) -> list[Candidate]:
     """The best starts of one layout whose reflectors stand in other places."""
     out: list[Candidate] = []

@@ -13,7 +13,6 @@ from tagid.reading.arrangement import Arrangement
 from tagid.reading.columns import Columns, Model
 from tagid.reading.descent import Powers, variance
 from tagid.reading.evidence import log_evidence
-from tagid.reading.hypothesis import middle_of
 from tagid.reading.spectra import Spectra
 from tagid.reading.transfers.plain import BARE
 from tagid.reading.transfers.shade import SHADES
@@ -134,8 +133,3 @@ def test_free_reflectors_are_found_where_they_stand() -> None:
     pair = max(pairs, key=lambda item: item.log)
     apart = np.rad2deg(abs(np.angle(np.exp(1j * (pair.angles[1] - pair.angles[0])))))
     assert apart == pytest.approx(90, abs=6)
-
-
-def test_the_middle_of_places_is_that_of_their_circle() -> None:
-    positions = 0.02 - 0.01j + 0.045 * np.exp(1j * np.array([0.3, 1.9, 4.0]))
-    assert middle_of(positions) == pytest.approx(0.02 - 0.01j)
