@@ -85,8 +85,6 @@ class AxisFocus:
     Attributes:
         axis_distance_m: distance that the returned scans assume, m; None for free antenna positions.
         offset_m: its difference from the one given, m; 0 if the given one was kept.
-        sharpness: sum |f|^4 / (sum |f|^2)^2 of the brightest image of the search.
-        contrast: largest brightness (see `focus_axis_distance`) over the median of the search, >= 1.
         peak_db: power of the brightest pixel over the mean noise power of a pixel, dB; inf without noise.
         reliable: the estimate passed every test; only then is it taken.
         best_m: the best guess, m, taken or not; None if there was no search.
@@ -102,8 +100,6 @@ class AxisFocus:
 
     axis_distance_m: float | None
     offset_m: float = 0.0
-    sharpness: float = 0.0
-    contrast: float = 1.0
     peak_db: float = 0.0
     reliable: bool = False
     best_m: float | None = None
@@ -127,13 +123,6 @@ class AxisFocus:
             "unexplained": self.unexplained,
             "reason": self.reason,
         }
-
-
-def sharpness(values: NDArray[np.complexfloating]) -> float:
-    """sum |f|^4 / (sum |f|^2)^2 of a complex image of any shape; 0 for a blank one."""
-    power = np.square(values.real, dtype=np.float64) + np.square(values.imag, dtype=np.float64)
-    total = float(power.sum())
-    return float((power**2).sum()) / total**2 if total > 0 else 0.0
 
 
 def focus_axis_distance(
@@ -193,8 +182,6 @@ def focus_axis_distance(
     bright = fitted_peak(offsets, measure, brightest, _HALF_WINDOW)
     focus = AxisFocus(
         distance,
-        sharpness=sharpness(images[brightest]),
-        contrast=float(measure[brightest] / np.median(measure)),
         peak_db=_peak_db(few, images[brightest]),
         best_m=distance + bright,
     )

@@ -84,7 +84,7 @@ def test_every_part_of_the_band_gets_the_delay_of_its_echo(edge_wavelengths: flo
 def test_an_echo_of_one_delay_tells_the_axis_and_one_that_resonates_does_not() -> None:
     for error in (-0.2 * LAM, 0.2 * LAM):
         focused, plain = focus_axis_distance(scans_of(resonant(0.0, error)), GRID)
-        assert plain.reliable and plain.contrast > 1
+        assert plain.reliable
         assert plain.axis_distance_m == pytest.approx(1.0, abs=0.02 * LAM)
         assert plain.offset_m == pytest.approx(-error, abs=0.02 * LAM)
         assert focused.aperture.axis_distance == plain.axis_distance_m

@@ -8,7 +8,7 @@ from scipy.special import j0
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.autofocus import focus_axis_distance, sharpness
+from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, residual
 from tagid.imaging.operator import ForwardOperator
@@ -90,12 +90,6 @@ def test_focus_leaves_noise_and_free_positions_alone():
         assert (focus.reliable, focus.offset_m, focus.axis_distance_m) == (False, 0, given)
     with pytest.raises(UsageError):
         focus_axis_distance(noise, GRID, 0.5)
-
-
-def test_sharpness_counts_pixels():
-    single = np.where(np.arange(16) == 6, 3j, 0)
-    assert sharpness(single) == pytest.approx(1)
-    assert (sharpness(np.ones(16, complex)), sharpness(0 * single)) == (pytest.approx(1 / 16), 0)
 
 
 def test_the_energy_left_of_every_view_adds_up_to_the_residual() -> None:
