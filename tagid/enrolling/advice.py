@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from tagid.enrolling.enrollment import Basis, family_outlooks, refusal
+from tagid.enrolling.enrollment import Basis, outlook, refusal
 from tagid.errors import UsageError
 from tagid.tags.layouts.design import (
     GHOST_M,
@@ -118,8 +118,10 @@ def roomiest(
 
 def can_be_enrolled(family: Family, enrolled: Sequence[Layout]) -> bool:
     """Whether enrolling would take the set beside the layouts that are enrolled."""
-    basis = Basis(family.rules.mirror_counts, family.rules.height_weight)
-    return refusal(family_outlooks(family.layouts, enrolled, basis), enrolled) is None
+    basis, layouts = Basis(family.rules.mirror_counts, family.rules.height_weight), family.layouts
+    # The last ones of a design are the most alike: they are compared first.
+    outlooks = (outlook(layouts[i], [*enrolled, *layouts[:i]], basis) for i in reversed(range(len(layouts))))
+    return all(refusal([prospect], enrolled) is None for prospect in outlooks)
 
 
 def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:

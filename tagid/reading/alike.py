@@ -37,8 +37,8 @@ _KAPPA = 4 * np.pi / SPEED_OF_LIGHT * np.linspace(3.3e9, 4.7e9, 9)
 BODIES: dict[str, tuple[Transfer, ...]] = {"helmet": (BARE,)}
 """What objects of a kind may be, for upright antennas: a helmet's shell hardly changes its reflectors."""
 _ANY: tuple[Transfer, ...] = (BARE, *(wall for wall in (*WALLS, *RODS) if wall.name.endswith("V")))
-_TURNS, _TRIED, _REFINED = 24, 3, 2
-"""Turns tried on the true body, those of them tried on every body, and starts that are refined."""
+_TURNS, _TRIED = 24, 3
+"""Turns tried on the true body, and those of them tried on every body."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def told_apart(layout: Layout, other: Layout, conditions: Conditions = Condition
     for recorded, rival in ((layout, other), (other, layout)):
         for body in BODIES.get(recorded.kind, _ANY):
             spectra = _recorded(recorded, body, conditions)
-            lead = _best(spectra, recorded, recorded, body) - _best(spectra, rival, recorded, body)
+            true = _refined(spectra, *_placed(spectra, recorded, body))
+            lead = true - _best(spectra, rival, recorded, body)
             candidates.append(Apart(float(lead), body.words if body.body else ""))
     return min(candidates, key=lambda candidate: candidate.lead)
 
@@ -146,13 +147,17 @@ def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) ->
 
     about = [(0j, float(turn)) for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS]
     pair = best_pairing(layout.positions, recorded.positions)
-    poses = [(complex(*pair.shift_m), pair.rotation_rad)]
+    poses = [(complex(*pair.shift_m), pair.rotation_rad), (0j, pair.rotation_rad)]
     poses += [
         (complex(*start.x[:2]), float(start.x[start.model.head])) for start in tried(body, about)[:_TRIED]
     ]
-    starts = sorted(
-        (start for transfer in TRANSFERS for start in tried(transfer, poses)), key=lambda start: -start.log
-    )
-    estimates = [refined(spectra, start.model, start.x) for start in starts[:_REFINED]]
-    glued = [refined(spectra, *estimate.by_hand(), (None,)) for estimate in estimates]
-    return max(estimate.log_z for estimate in (*estimates, *glued))
+    likely = [tried(transfer, poses)[0] for transfer in TRANSFERS]
+    estimates = [refined(spectra, start.model, start.x) for start in likely]
+    best = max(estimates, key=lambda estimate: estimate.log_z)
+    return max(best.log_z, refined(spectra, *best.by_hand(), (None,)).log_z)
+
+
+def _refined(spectra: Spectra, model: Model, x: Floats) -> float:
+    """Log evidence of reflectors near a start, as they were enrolled or glued a little off, nats."""
+    estimate = refined(spectra, model, x)
+    return max(estimate.log_z, refined(spectra, *estimate.by_hand(), (None,)).log_z)

@@ -19,10 +19,11 @@ WIDER = replace(PAIR, name="wider", positions=PAIR.positions * 63 / 45)
 
 def test_two_radii_of_one_angle_are_told_apart_in_the_open_and_not_on_every_container() -> None:
     bare = told_apart(replace(PAIR, kind="helmet"), replace(WIDER, kind="helmet"))
-    assert bare.lead > 80 and bare.body == ""
+    # The wider ring in the open reads nearly as the narrow one behind plastic, which draws it out.
+    assert bare.lead > 12 and bare.body == ""
     on_any = told_apart(PAIR, WIDER)
-    assert 0 < on_any.lead < 20 and "metal" in on_any.body
-    assert bare.unresolved() < 1e-9 and on_any.unresolved() > 0.05
+    assert 0 < on_any.lead < 10 and "plastic" in on_any.body
+    assert bare.unresolved() < 0.05 and on_any.unresolved() > 0.3
     turned = Layout("turned", PAIR.positions @ np.array([[0.0, 1.0], [-1.0, 0.0]]), "container")
     assert told_apart(PAIR, turned).unresolved() == pytest.approx(1, abs=0.01)
 
