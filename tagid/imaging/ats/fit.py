@@ -70,6 +70,9 @@ MEAN_OVER = 0.3
 """Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
 of an engine shows less in it."""
 
+MEAN_EVERY = 3
+"""Every so many of them are in the mean: neighbouring steps hardly differ."""
+
 _MOST_SHRUNK = 2.0
 """The weight of the sparsity prior is at most half of what gives a blank image."""
 
@@ -244,7 +247,7 @@ class _Fit:
                 grid = replace(every, pixels=self._pixels())
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
-            if step + 1 > steps * (1 - MEAN_OVER):
+            if step + 1 > steps * (1 - MEAN_OVER) and (steps - 1 - step) % MEAN_EVERY == 0:
                 now = engine.weights().arrays
                 total = [a + b for a, b in zip(total, now, strict=True)] if count else now
                 count += 1

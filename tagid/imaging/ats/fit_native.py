@@ -129,14 +129,13 @@ class NativeEngine:
 
 def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -> tuple[float, Array]:
     """a sum c |A sigma - y|^2 and its gradient by sigma (P, 2)."""
-    values = np.asarray(sigma[:, 0] + 1j * sigma[:, 1], dtype=np.complex64)
-    residual = views.rows_of(values) @ fine.complex_spread
+    residual = views.rows_of(sigma.view(np.complex64)[:, 0]) @ fine.complex_spread
     residual -= views.measured
     weighted = residual * (views.confidence * np.float32(scale))
     loss = float(np.vdot(residual, weighted).real)
     weighted *= 2
     back = views.points_of(np.asarray(weighted @ fine.complex_collect, dtype=np.complex64))
-    return loss, np.stack([back.real, back.imag], axis=1)
+    return loss, back.view(np.float32).reshape(-1, 2)
 
 
 MODEL = "ats_step"
