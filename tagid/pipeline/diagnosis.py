@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
@@ -23,10 +21,9 @@ from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import WHOLE_TURN, ended_early, identify, widest_gap
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import REMEDY, one_of, speed_contradiction, stopped_words
-from tagid.reading.reading import Kind, Reading, Reflector
+from tagid.reading.reading import Kind, Reading
 from tagid.reading.verdict import ADVICE, Code
 from tagid.signal import analytic, median, peak_place
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
 from tagid.tags.layouts.layout import Layout
 
 _FEWEST = 8
@@ -96,56 +93,10 @@ def named_in(prepared: PreparedCapture, capture: Capture, layouts: Sequence[Layo
     return answer.reading if answer.status == "identified" else None
 
 
-def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
-    """The scans as they would be if the point `centre`, (x, y), m, of the turntable were its axis.
-
-    Each view is shifted in range by the difference between the distances of that point and of the axis, and
-    its angle becomes the direction of the antenna from that point. What is the same in every view before the
-    shift, the room, is subtracted; so is what is the same in every view after it, a round body about the new
-    axis. The two are told apart by least squares, because the mean over the views of an echo that moves would
-    be left behind as one that moves the other way. The remaining error is the change of curvature, under 1 mm
-    for an object of 0.1 m at 1 m.
-    """
-    if capture.angles_rad is None or capture.axis_distance_m is None:
-        raise DataError("only scans of a turntable can be moved to another axis")
-    distance = capture.axis_distance_m
-    x = distance * np.cos(capture.angles_rad) - centre[0]
-    y = -distance * np.sin(capture.angles_rad) - centre[1]
-    bins = capture.samples.shape[1]
-    padded = 1 << int(np.ceil(np.log2(2 * bins)))
-    shift = (np.hypot(x, y) - distance) / capture.range_step_m
-    turned = np.exp(2j * np.pi * np.fft.fftfreq(padded) * shift[:, None])
-    spectra = _without_either(np.fft.fft(capture.samples, padded), turned)
-    moved = np.fft.ifft(spectra * turned)[:, :bins]
-    # Not back to the integers of a P440: nothing may be rounded away.
-    real = not np.iscomplexobj(capture.samples)
-    samples = moved.real.astype(np.float32) if real else moved.astype(np.complex64)
-    return replace(capture, samples=samples, angles_rad=-np.arctan2(y, x))
-
-
-def _without_either(
-    spectra: NDArray[np.complex128], turned: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """(V, F) spectra without what is the same in every view, or is so once they are turned."""
-    columns = np.stack([np.ones_like(turned), turned.conj()], axis=-1).swapaxes(0, 1)
-    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    # At a wavelength far above the shift both are one.
-    basis = basis * (sizes > 1e-6 * sizes[:, :1])[:, None, :]
-    data = spectra.T[..., None]
-    return np.asarray((data - basis @ (basis.conj().swapaxes(1, 2) @ data))[..., 0].T)
-
-
 _LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
-_ALIKE_DB = 10.0
-"""Detected reflectors within this level of the strongest may belong to a tag."""
-_MOST_REFLECTORS = 6
-_FITS_M = 0.008
-"""RMS distance of detected reflectors from their positions in a layout, m."""
 _FARTHEST_M = 0.12
-_PLACES = 3
-"""Centres off the axis that are compared."""
-_AXIS_TRIES, _PLACE_TRIES = 1, 1
-"""Axis distances, and places, that are read in full, the best first."""
+_AXIS_TRIES = 1
+"""Axis distances that are read in full, the best first."""
 _CIRCLE_M, _CIRCLE_SHARE = 0.025, 0.8
 """Largest spread of the strongest echo about its circle, m, and the least share of views that follow it."""
 _ROUND_M, _ROUND_SHARE, _ROUND_FAINTEST = 0.010, 0.85, 0.65
@@ -245,8 +196,6 @@ def with_causes(
     if not any(cause.code == "speed" for cause in causes):
         beside = None if circle is None else _of_a_round_body(circle)
         causes += _of_the_axis(prepared, layouts) if beside is None else [beside]
-    if not causes:
-        causes += _of_the_place(prepared, layouts, answer.reading.reflectors, circle)
     return replace(
         answer, causes=tuple(causes), advice=_advice(answer.reading, round_echo, prepared.given.radar)
     )
@@ -379,33 +328,6 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
     return []
 
 
-def _of_the_place(
-    prepared: PreparedCapture,
-    layouts: Sequence[Layout],
-    reflectors: Sequence[Reflector],
-    circle: Circling | None,
-) -> list[Cause]:
-    """A position of the object off the axis, if the reader names it after the scans are moved there."""
-    capture = prepared.capture
-    if capture.angles_rad is None or capture.axis_distance_m is None:
-        return []
-    centres = _other_centres(reflectors, layouts)
-    if circle is not None and _followed(circle):
-        centres = [circle.centre_m, *centres]
-    for centre in centres[:_PLACE_TRIES]:
-        if (name := named_in(prepared, recentred(capture, centre), layouts)) is not None:
-            away = np.add(centre, name.centre_m) * 1e3
-            return [
-                Cause(
-                    "off_centre",
-                    f"the scans show {name.layout} {np.linalg.norm(away):.0f} mm off the rotation axis, at "
-                    f"({away[0]:.0f}, {away[1]:.0f}) mm",
-                    _CENTRE_IT,
-                )
-            ]
-    return []
-
-
 def _off_the_axis(circle: Circling | None) -> Circling | None:
     """The circle of the strongest echo, where something off the axis, not too far, makes one."""
     return circle if circle is not None and _CIRCLES_M < circle.radius_m < _FARTHEST_M else None
@@ -428,25 +350,3 @@ def _of_a_round_body(circle: Circling) -> Cause | None:
     off = f"about {circle.radius_m * 1e3:.0f} mm" if circle.radius_m >= _TOLD_M else "10 to 20 mm"
     words = f"the strongest echo circles the rotation axis, as that of a round body {off} off it"
     return Cause("off_centre", words, _CENTRE_IT)
-
-
-def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
-    """Centres, m, outside the reader's search range where reflectors fit a layout, strongest first."""
-    strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
-    positions = np.array([[r.x_m, r.y_m] for r in strong])
-    power = np.array([abs(r.amplitude) ** 2 for r in strong])
-    fits: list[tuple[float, tuple[float, float]]] = []
-    for layout in layouts:
-        if not 2 <= layout.size <= len(strong):
-            continue
-        partners = np.array(list(permutations(range(len(strong)), layout.size)), dtype=np.intp)
-        rms, _, shift = best_places(layout.positions[None], positions[partners])
-        away = np.linalg.norm(shift, axis=-1)
-        for i in np.flatnonzero((rms < _FITS_M) & (away > CENTRE_TOLERANCE_M) & (away < _FARTHEST_M)):
-            centre = (float(shift[i, 0]), float(shift[i, 1]))
-            fits.append((float(power[partners[i]].sum()), centre))
-    chosen: list[tuple[float, float]] = []
-    for _, centre in sorted(fits, key=lambda fit: -fit[0]):
-        if all(np.hypot(centre[0] - x, centre[1] - y) > CENTRE_TOLERANCE_M for x, y in chosen):
-            chosen.append(centre)
-    return chosen[:_PLACES]

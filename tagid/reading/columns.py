@@ -173,6 +173,12 @@ class Model:
         return slice(self.body_parameters, self.body_parameters + 2)
 
     @property
+    def place_rows(self) -> list[int]:
+        """Parameters that are the x of a place about the axis, before its y."""
+        end = self.parameters
+        return [0, *range(end - self.spot * self.odd, end, self.spot)]
+
+    @property
     def parameters(self) -> int:
         tag = 0 if self.tag is None else self.tag.turns + self.tag.stretches
         return self.head + tag + self.lifts + self.spot * self.odd

@@ -101,7 +101,11 @@ _KNOWN_M = 1.5e-3
 
 @dataclass(eq=False)
 class Contest:
-    """Hypotheses of one recording and what they share."""
+    """Hypotheses of one recording and what they share.
+
+    Attributes:
+        place: about which they are, x + jy, m from the axis.
+    """
 
     spectra: Spectra
     layouts: Sequence[Layout]
@@ -109,11 +113,13 @@ class Contest:
     sheets: Sequence[Kind] = KINDS
     enrolled: Sequence[EnrolledBody] = ()
     priors: Priors = field(default_factory=Priors)
+    place: complex = 0j
     hypotheses: list[Hypothesis] = field(default_factory=list, init=False)
     _centres: list[complex] = field(default_factory=list, init=False)
     _tried: set[Estimate] = field(default_factory=set, init=False)
     _rough: list[Hypothesis] = field(default_factory=list, init=False)
     _planes: list[float] = field(init=False)
+    _seen: float = field(default=-np.inf, init=False)
     _shapes: Sequence[Floats] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
@@ -144,12 +150,13 @@ class Contest:
     def run(self) -> list[Hypothesis]:
         """All hypotheses, the best first, at the stated angles or those that a look or all show."""
         stated, errors, cost = self.spectra, None, 0.0
-        self._first()
+        self.look()
         for explored in (False, *[True] * (STRAIGHTENED - 1)):
             # An enrolled body has an uneven turn of its own.
             others = [h.estimate for h in self.hypotheses if not isinstance(h.estimate.model, SignatureModel)]
             best = self._highest - cost
-            turned = straightened(stated, others, best, errors)
+            # About another place the angles are those that were found about the axis.
+            turned = None if self.place else straightened(stated, others, best, errors)
             other = None if turned is None else self._turned(turned, explored, best)
             if turned is not None and other is not None:
                 vars(self).clear()
@@ -161,6 +168,17 @@ class Contest:
                 self._then()
         self.hypotheses = smoothed(self.spectra, self.hypotheses)
         return self.hypotheses
+
+    def about(self, place: complex) -> Contest:
+        """The same about another place, x + jy, m from the present one, with nothing tried."""
+        return replace(self, spectra=self.spectra.about(place), place=self.place + place)
+
+    def look(self) -> float:
+        """Log evidence of the likeliest hypothesis of the first look, nats."""
+        if not self.hypotheses:
+            self._first()
+            self._seen = self._highest
+        return self._seen
 
     @property
     def _ranked(self) -> list[Hypothesis]:
@@ -174,7 +192,7 @@ class Contest:
     def _turned(self, turned: Turned, explored: bool, best: float) -> Contest | None:
         """What competes at other angles, tried as far as at those before; None where it explains no more."""
         other = replace(self, spectra=turned.spectra)
-        other._first()
+        other.look()
         if explored:
             other._then()
         return other if other._highest - turned.cost > best else None
@@ -193,7 +211,7 @@ class Contest:
         best = max(self.hypotheses, key=lambda hypothesis: hypothesis.log_z).estimate
         if known and min(abs(best.centre - centre) for centre in near) > ELSEWHERE_M:
             self._look([best.centre], [best.centre], [with_clutter(best.powers)] * 2, [np.zeros(2)] * 2)
-        if not self.spectra.full_turn:  # angles are told by what explains most
+        if not self.spectra.full_turn and not self.place:  # angles are told by what explains most
             self._anywhere()
             self._facing()
 

@@ -48,6 +48,15 @@ class Hypothesis:
     middle: bool = False
     prior: float = 0.0
 
+    def moved(self, by: complex, prior: float) -> Hypothesis:
+        """The same of a recording whose origin lies elsewhere: places are so much farther, x + jy, m.
+
+        Args:
+            prior: log probability more, nats.
+        """
+        estimate = replace(self.estimate, x=moved(self.estimate.model, self.estimate.x, by))
+        return replace(self, estimate=estimate, log_z=self.log_z + prior, prior=self.prior + prior)
+
     @property
     def tagged(self) -> bool:
         """It has a tag. One reflector alone has no arrangement, and echoes as a small round body does."""
@@ -153,6 +162,14 @@ def best_bare(hypotheses: Sequence[Hypothesis], name: str) -> Hypothesis | None:
         if hypothesis.name == name and not hypothesis.estimate.model.body_columns
     ]
     return max(bare, key=lambda hypothesis: hypothesis.log_z, default=None)
+
+
+def moved(model: Model, x: Floats, by: complex) -> Floats:
+    """Parameters x (P,) of a model with all places so much farther, x + jy, m."""
+    x = x.copy()
+    for row in model.place_rows:
+        x[row : row + 2] += by.real, by.imag
+    return x
 
 
 def distinct(positions: Sequence[complex]) -> list[complex]:

@@ -17,6 +17,7 @@ from tagid.reading.decision import SURE, Decision, Needed, has_middle
 from tagid.reading.explain import Explained, explanations, kind_of, ranked, residuals
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import Hypothesis, best_bare
+from tagid.reading.place import settled
 from tagid.reading.reading import LayoutScore, Reading
 from tagid.reading.several import best_of, clearest, decide_together
 from tagid.reading.signature import enrolled_in
@@ -108,13 +109,15 @@ def read_together(
     if not settings.direction_known:
         candidates += [layout.mirrored() for layout in layouts]
     contests = [contest(recording, candidates, signatures, settings.priors) for recording in recordings]
-    for recorded in contests:
-        recorded.run()
     views = [min(len(recording.samples), MOST_VIEWS) for recording in recordings]
-    alone = [
-        _reading(decide_together([recorded], _needed(settings, count)), recorded, settings, count)
-        for recorded, count in zip(contests, views, strict=True)
-    ]
+    alone = []
+    for i, count in enumerate(views):
+        contests[i].run()
+        decision = decide_together([contests[i]], _needed(settings, count))
+        if decision.status != "identified":
+            contests[i] = settled(contests[i])
+            decision = decide_together([contests[i]], _needed(settings, count))
+        alone.append(_reading(decision, contests[i], settings, count))
     if len(contests) == 1:
         return alone[0], alone
     fewest = min(views)
@@ -172,7 +175,7 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
         expected -= has_middle(best)
     count = len(winner.estimate.positions)
     differs = not named and decision.status == "unknown" and count > 0
-    return Reading(
+    reading = Reading(
         decision.status,
         decision.reason,
         layout,
@@ -195,6 +198,7 @@ def _reading(decision: Decision, contest: Contest, settings: ReaderSettings, vie
         winner,
         residuals(spectra, every),
     )
+    return reading.moved(contest.place)
 
 
 def _plainest(contest: Contest, winner: Hypothesis) -> Hypothesis:

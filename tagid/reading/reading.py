@@ -180,6 +180,32 @@ class Reading:
         """What to do next; empty where a layout is named."""
         return ADVICE[self.code]
 
+    def moved(self, by: complex) -> Reading:
+        """The same with all places so much farther, x + jy, m."""
+        if not by:
+            return self
+
+        def there(place: tuple[float, float]) -> tuple[float, float]:
+            return place[0] + by.real, place[1] + by.imag
+
+        return replace(
+            self,
+            centre_m=there(self.centre_m),
+            reflectors=tuple(
+                replace(reflector, x_m=reflector.x_m + by.real, y_m=reflector.y_m + by.imag)
+                for reflector in self.reflectors
+            ),
+            hypotheses=tuple(
+                replace(
+                    explanation,
+                    centre_m=there(explanation.centre_m),
+                    outline_m=tuple(map(there, explanation.outline_m)),
+                )
+                for explanation in self.hypotheses
+            ),
+            winner=None if self.winner is None else self.winner.moved(by, 0.0),
+        )
+
     def refused(self, code: Code, reason: str) -> Reading:
         """The same without its name."""
         return replace(self, status="unknown", layout=None, code=code, reason=reason)

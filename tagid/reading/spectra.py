@@ -99,7 +99,8 @@ class Spectra:
         moving: (F,) energy of the moving echo per view, in the same units.
         full_turn: the views are evenly spaced over a turn at one height, and that it is one turn is known.
         scale_sigma: relative standard deviation of a factor common to all angles; None: not stated.
-        stated: the recording with its angles as stated, where they were found to be wrong.
+        stated: the recording with its angles as stated, where they were found to be wrong, or about its axis,
+            where the object stands elsewhere.
     """
 
     data: Complex
@@ -232,6 +233,10 @@ class Spectra:
     def turned(self, error: Floats) -> Spectra:
         """The same with the antenna turned by errors (V,) of the angles, rad."""
         return replace(self, antenna=self.antenna * np.exp(1j * error), stated=self)
+
+    def about(self, place: complex) -> Spectra:
+        """The same with a place, x + jy, m, as the origin; the clutter's disc stays about the axis."""
+        return replace(self, antenna=self.antenna - place, stated=self, full_turn=False)
 
     def waves(self, positions: Complex, heights: Floats) -> tuple[Complex, Floats]:
         """Echoes (F, S, V) of unit points at places x + jy (S,) and heights (S,), m; their ranges (S, V)."""

@@ -78,8 +78,7 @@ def turned_so_far(direction: Floats) -> Floats:
 def spin(model: Model, x: Floats) -> Floats:
     """(P,) how the parameters change as the whole object turns about the axis, per rad."""
     out, tag, about = np.zeros(len(x)), model.tag, model.about
-    position_rows = {0, about.start, *range(len(x) - model.spot * model.odd, len(x), model.spot)}
-    for at in position_rows:
+    for at in {about.start, *model.place_rows}:
         out[at], out[at + 1] = -x[at + 1], x[at]
     if model.body_parameters:
         out[2] = 1.0

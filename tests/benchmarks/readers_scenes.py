@@ -2,8 +2,9 @@
 
 y1 is `bodies_scenes.py`, y2 `reading_bodies_scenes.py`, y3 `unseen_scenes.py` (opened objects), all without
 enrollment; y2e is y2 with body or object enrolled, y4 `enrolled_scenes.py`, y5 `identification_scenes.py`
-from number 1000 on, null `train/population.py`, volume `train/volume_objects.py`, on which nothing is
-chosen. y3 requires solved objects in SOLVED: `solve --set unseen` makes them, in about half a minute each.
+from number 1000 on, aside objects off the axis, null `train/population.py`, volume
+`train/volume_objects.py`, on which nothing is chosen. y3 requires solved objects in SOLVED:
+`solve --set unseen` makes them, in about half a minute each.
 """
 
 from __future__ import annotations
@@ -16,8 +17,15 @@ from functools import cache, partial
 from itertools import product
 from pathlib import Path
 
+import numpy as np
+
 from tagid.capture import Capture
 from tagid.errors import TagidError
+from tagid.pipeline.prepared import load_capture
+from tagid.simulate import Placement, parse_body, parse_reflector
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_on_body
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tests.benchmarks import (
@@ -35,9 +43,18 @@ from train import population, volume_objects
 
 SOLVED = Path(os.environ.get("TAGID_SOLVED", ROOT / "build" / "unseen"))
 BUILTIN = tuple(builtin_layouts().values())
-FIRST_NULL, FIRST_READING_BODIES, FIRST_IDENTIFICATION = 6_000_000, 500, 1000
+FIRST_NULL, FIRST_READING_BODIES, FIRST_IDENTIFICATION, FIRST_ASIDE = 6_000_000, 500, 1000, 40
 NULLS, DRAWN, VOLUMES = 300, 100, 60
 """Scenes per round."""
+ASIDE: dict[str, tuple[str, ...]] = {
+    "none": ("container-90", "container-180", "helmet-120", "helmet-linear"),
+    "can:35mm": ("container-90", "container-180"),
+    "can:42mm": ("container-90", "container-180"),
+    "cup:40mm,handle": ("container-90", "container-180"),
+    "box:120mm": ("container-90", "container-180"),
+    "helmet": ("helmet-120", "helmet-linear"),
+}
+"""Bodies off the axis, and the tags on them."""
 HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
 SEEDS = "of development alone (`tests/benchmarks/readers_scenes.py`)"
 """What the page says of them."""
@@ -230,8 +247,32 @@ def _volume(seed: int) -> Scene:
     return Scene(drawn.body, drawn.truth, BUILTIN, drawn.capture)
 
 
+def aside(turn: int) -> Draws:
+    """Simulated tags and strangers that stand 15 to 90 mm off the axis, with 72 views at 20 dB, 36 at 10."""
+    seed = FIRST_ASIDE + turn
+    for body, tags in ASIDE.items():
+        for name, views in product((*tags, "points-3", "untagged"), (72, 36)):
+            if body != "none" or name != "untagged":
+                yield _key("aside", body, name, views, seed), partial(_aside, body, name, views, seed)
+
+
+def _aside(body: str, name: str, views: int, seed: int) -> Scene | None:
+    rng = np.random.default_rng([seed, views, *f"{body} {name}".encode()])
+    first, second = (int(seed) for seed in rng.integers(2**31, size=2))
+    try:
+        scene = scene_on_body(name, parse_body(body), parse_reflector("octahedron:20mm"), first)
+    except TagidError:  # a point inside the body
+        return None
+    place = rng.uniform(0.015, 0.09) * np.exp(2j * np.pi * rng.uniform())
+    where = Placement((place.real, place.imag), 2 * np.pi * rng.uniform())
+    how = Acquisition(views=views, snr_db=20.0 if views > 36 else 10.0, placement=where)
+    capture, _ = simulate_capture(scene, how, seed=second)
+    truth = name if name in builtin_layouts() else None
+    return Scene("tagged" if truth else name, truth, BUILTIN, load_capture(capture))
+
+
 YARDSTICKS: dict[str, Callable[[int], Draws]] = {
-    work.__name__: work for work in (y1, y2, y2e, y3, y4, y5, null, volume)
+    work.__name__: work for work in (y1, y2, y2e, y3, y4, y5, aside, null, volume)
 }
 
 
