@@ -49,7 +49,7 @@ NULLS, DRAWN, VOLUMES = 300, 100, 60
 ASIDE: dict[str, tuple[str, ...]] = {
     "none": ("container-90", "container-180", "helmet-120", "helmet-linear"),
     "can:35mm": ("container-90", "container-180"),
-    "can:42mm": ("container-90", "container-180"),
+    "can:30mm": ("container-90", "container-180"),
     "cup:40mm,handle": ("container-90", "container-180"),
     "box:120mm": ("container-90", "container-180"),
     "helmet": ("helmet-120", "helmet-linear"),
@@ -265,7 +265,8 @@ def _aside(body: str, name: str, views: int, seed: int) -> Scene | None:
         return None
     place = rng.uniform(0.015, 0.09) * np.exp(2j * np.pi * rng.uniform())
     where = Placement((place.real, place.imag), 2 * np.pi * rng.uniform())
-    how = Acquisition(views=views, snr_db=20.0 if views > 36 else 10.0, placement=where)
+    snr_db = 20.0 if views > 36 else 10.0
+    how = Acquisition(views=views, snr_db=snr_db, placement=where, range_law=True)
     capture, _ = simulate_capture(scene, how, seed=second)
     truth = name if name in builtin_layouts() else None
     return Scene("tagged" if truth else name, truth, BUILTIN, load_capture(capture))
