@@ -24,6 +24,7 @@ from tagid import processes
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.reading.calibration import Calibration, Stratum, largest, worth
 from tagid.reading.decision import decide
+from tagid.reading.place import settled
 from tagid.reading.reader import contest
 from tagid.tags.layouts.layout import builtin_layouts
 from train.population import STATEMENT, draw
@@ -56,7 +57,7 @@ def lead_of(seed: int, views: Sequence[int] = ()) -> Row | None:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
     known = contest(scans, list(builtin_layouts().values()))
-    decision = decide(known.run())
+    decision = decide(settled(known).hypotheses)
     return Row(seed=seed, views=specimen.views, lead=worth(decision.lead, decision.bare))
 
 

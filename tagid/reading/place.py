@@ -13,6 +13,7 @@ from operator import itemgetter
 import numpy as np
 
 from tagid.reading.columns import Model
+from tagid.reading.decision import Needed, decide
 from tagid.reading.descent import BODY, CLUTTER, best_powers
 from tagid.reading.hypotheses import Contest
 from tagid.reading.hypothesis import as_layouts, moved
@@ -34,10 +35,12 @@ _STEPS_M = (3e-3, 1.5e-3)
 _AROUND = np.array([1, 1 + 1j, 1j, 1j - 1, -1, -1 - 1j, -1j, 1 - 1j])
 
 
-def settled(contest: Contest) -> Contest:
-    """What competes in a recording about the place where its object stands; the contest itself, run before,
-    where that is the axis.
+def settled(contest: Contest, needed: Needed = Needed()) -> Contest:
+    """What competes in a recording about the place where its object stands: the contest itself, run, where
+    that is the axis, or what is tried about it has a name.
     """
+    if decide(contest.run(), needed).status == "identified":
+        return contest
     places = [likeliest(contest.spectra), *_of_reflectors(contest)]
     there = max((contest.about(place) for place in places), key=Contest.look)
     # Its centre is as uncertain about that place, which may be anywhere, as it would be about the axis.

@@ -112,11 +112,9 @@ def read_together(
     views = [min(len(recording.samples), MOST_VIEWS) for recording in recordings]
     alone = []
     for i, count in enumerate(views):
-        contests[i].run()
-        decision = decide_together([contests[i]], _needed(settings, count))
-        if decision.status != "identified":
-            contests[i] = settled(contests[i])
-            decision = decide_together([contests[i]], _needed(settings, count))
+        needed = _needed(settings, count)
+        contests[i] = settled(contests[i], needed)
+        decision = decide_together([contests[i]], needed)
         alone.append(_reading(decision, contests[i], settings, count))
     if len(contests) == 1:
         return alone[0], alone
