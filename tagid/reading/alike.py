@@ -18,7 +18,7 @@ import numpy as np
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.reading.columns import Model
 from tagid.reading.decision import SURE
-from tagid.reading.descent import best_powers, refined
+from tagid.reading.descent import Estimate, best_powers, refined
 from tagid.reading.hypotheses import TRANSFERS
 from tagid.reading.hypothesis import Arranged, Candidate, disc_of
 from tagid.reading.spectra import MODEL_ERROR, Spectra
@@ -92,7 +92,7 @@ def told_apart(layout: Layout, other: Layout, conditions: Conditions = Condition
     for recorded, rival in ((layout, other), (other, layout)):
         for body in BODIES.get(recorded.kind, _ANY):
             spectra = _recorded(recorded, body, conditions)
-            true = _refined(spectra, *_placed(spectra, recorded, body))
+            true = _or_glued(spectra, refined(spectra, *_placed(spectra, recorded, body)))
             lead = true - _best(spectra, rival, recorded, body)
             candidates.append(Apart(float(lead), body.words if body.body else ""))
     return min(candidates, key=lambda candidate: candidate.lead)
@@ -153,11 +153,9 @@ def _best(spectra: Spectra, layout: Layout, recorded: Layout, body: Transfer) ->
     ]
     likely = [tried(transfer, poses)[0] for transfer in TRANSFERS]
     estimates = [refined(spectra, start.model, start.x) for start in likely]
-    best = max(estimates, key=lambda estimate: estimate.log_z)
-    return max(best.log_z, refined(spectra, *best.by_hand(), (None,)).log_z)
+    return _or_glued(spectra, max(estimates, key=lambda estimate: estimate.log_z))
 
 
-def _refined(spectra: Spectra, model: Model, x: Floats) -> float:
-    """Log evidence of reflectors near a start, as they were enrolled or glued a little off, nats."""
-    estimate = refined(spectra, model, x)
+def _or_glued(spectra: Spectra, estimate: Estimate) -> float:
+    """Log evidence of reflectors as they were enrolled, or glued a little off, nats."""
     return max(estimate.log_z, refined(spectra, *estimate.by_hand(), (None,)).log_z)

@@ -41,8 +41,8 @@ def settled(contest: Contest, needed: Needed = Needed()) -> Contest:
     """
     if decide(contest.run(), needed).status == "identified":
         return contest
-    places = [likeliest(contest.spectra), *_of_reflectors(contest)]
-    there = max((contest.about(place) for place in places), key=Contest.look)
+    centres = [likeliest(contest.spectra), *_of_reflectors(contest)]
+    there = max((contest.about(place) for place in centres), key=Contest.look)
     # Its centre is as uncertain about that place, which may be anywhere, as it would be about the axis.
     cost = float(np.log(REACH_M**2 / (2 * contest.priors.centre_m**2) / ELSEWHERE))
     if there.look() - cost <= contest.look():
@@ -70,27 +70,27 @@ def likeliest(spectra: Spectra) -> complex:
     """The place off the axis, x + jy, m, about which clutter and a round body explain most."""
     thinned = spectra.thinned(2)
     x = np.arange(-REACH_M, REACH_M + _STEP_M / 2, _STEP_M)
-    places = (x + 1j * x[:, None]).ravel()
-    places = places[(np.abs(places) <= REACH_M) & (np.abs(places) >= NEAR_M)]
+    centres = (x + 1j * x[:, None]).ravel()
+    centres = centres[(np.abs(centres) <= REACH_M) & (np.abs(centres) >= NEAR_M)]
     for step in _STEPS_M:
-        best = places[int(np.argmax(_evidence(thinned, places)))]
-        places = np.append(best, best + step * _AROUND)
-    return complex(places[int(np.argmax(_evidence(thinned, places)))])
+        best = centres[int(np.argmax(_evidence(thinned, centres)))]
+        centres = np.append(best, best + step * _AROUND)
+    return complex(centres[int(np.argmax(_evidence(thinned, centres)))])
 
 
-def _evidence(spectra: Spectra, places: Complex) -> Floats:
-    """(C,) log evidences of clutter about places (C,), with or without a round body there, nats."""
-    moved = np.exp(1j * spectra.kappa[:, None, None] * _beyond(spectra, places)) * spectra.data[:, None]
-    best = np.full(len(places), -np.inf)
+def _evidence(spectra: Spectra, centres: Complex) -> Floats:
+    """(C,) log evidences of clutter about centres (C,), with or without a round body there, nats."""
+    shifted = np.exp(1j * spectra.kappa[:, None, None] * _beyond(spectra, centres)) * spectra.data[:, None]
+    best = np.full(len(centres), -np.inf)
     for whitener in spectra.whole:
-        white = whitener.apply(moved)
-        body = whitener.apply(np.ones((len(moved), 1, spectra.views), dtype=np.complex128))
+        white = whitener.apply(shifted)
+        body = whitener.apply(np.ones((len(shifted), 1, spectra.views), dtype=np.complex128))
         for clutter in CLUTTER[1:]:
             variance = 1 + clutter * (spectra.moving[:, None] * whitener.variance)[:, None]
             log = -(np.abs(white) ** 2 / variance).sum(axis=(0, 2)) - np.log(variance).sum()
             seen = np.abs((body.conj() * white / variance).sum(axis=2)) ** 2
             size = (np.abs(body) ** 2 / variance).sum(axis=2)
-            gain = np.zeros(len(places))
+            gain = np.zeros(len(centres))
             for power in BODY:
                 prior = power * spectra.moving[:, None]
                 gain = np.maximum(gain, (seen / (1 / prior + size) - np.log1p(prior * size)).sum(axis=0))
@@ -98,7 +98,7 @@ def _evidence(spectra: Spectra, places: Complex) -> Floats:
     return best
 
 
-def _beyond(spectra: Spectra, places: Complex) -> Floats:
-    """(C, V) by how much farther from the antenna places (C,) are than the axis, m."""
-    range_m = np.hypot(np.abs(spectra.antenna - places[:, None]), spectra.height_m)
+def _beyond(spectra: Spectra, centres: Complex) -> Floats:
+    """(C, V) by how much farther from the antenna centres (C,) are than the axis, m."""
+    range_m = np.hypot(np.abs(spectra.antenna - centres[:, None]), spectra.height_m)
     return np.asarray(range_m - np.hypot(np.abs(spectra.antenna), spectra.height_m))
